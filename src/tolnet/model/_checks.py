@@ -45,16 +45,12 @@ def real_array(value: Any, key: str, complaints: Complaints) -> ndarray | None:
     return array
 
 
-def shaped(
-    value: Any, shape: tuple[int | None, ...], key: str, meant: str, complaints: Complaints
-) -> ndarray | None:
+def shaped(value: Any, shape: tuple[int | None, ...], key: str, meant: str, complaints: Complaints) -> ndarray | None:
     """`real_array` that also wants `shape` (None: any length), which `meant` says in words."""
     array = real_array(value, key, complaints)
     if array is None:
         return None
-    fits = array.ndim == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    )
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
     if not fits:
         complaints.add(key, f"is {by(array.shape)}; {meant} was expected", shape=True)
         return None

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     import networkx
 
 
-def plant_matrices(
-    plant: Any, B: Any, Q: Any, dt: float | None, complaints: Complaints
-) -> tuple[Any, Any, Any]:
+def plant_matrices(plant: Any, B: Any, Q: Any, dt: float | None, complaints: Complaints) -> tuple[Any, Any, Any]:
     """A, B and dt of a discrete-time `control.StateSpace`; B and dt given beside it come first.
 
     The plant's input matrix is taken for the factor B of the process noise. A continuous-time plant is refused,
@@ -23,9 +21,7 @@ def plant_matrices(
     """
     if plant.dt == 0:
         complaints.add("plant", "is a continuous-time system; sample it first: plant.sample(dt)")
-    step = (
-        float(plant.dt) if dt is None and isinstance(plant.dt, int | float) and plant.dt is not True else dt
-    )
+    step = float(plant.dt) if dt is None and isinstance(plant.dt, int | float) and plant.dt is not True else dt
     factor = np.asarray(plant.B) if B is None and Q is None else B
     return np.asarray(plant.A), factor, step
 

@@ -64,18 +64,14 @@ def adjacency_of_edges(edges: Any, directed: bool, N: int, complaints: Complaint
     code = sorted_pairs[:, 0] * N + sorted_pairs[:, 1]
     _, first, inverse = np.unique(code, return_index=True, return_inverse=True)
     for e in np.flatnonzero(first[inverse] != np.arange(len(code))):
-        complaints.add(
-            f"{key}[{e}]", f"is {pairs[e].tolist()}, which edges[{first[inverse[e]]}] already gave"
-        )
+        complaints.add(f"{key}[{e}]", f"is {pairs[e].tolist()}, which edges[{first[inverse[e]]}] already gave")
     both = pairs if directed else np.concatenate([pairs, pairs[:, ::-1]])
     return with_self_loops(sparse.csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(N, N)))
 
 
 def with_self_loops(matrix: sparse.csr_array) -> sparse.csr_array:
     """The boolean pattern of a matrix, its diagonal added, indices sorted, arrays read-only."""
-    pattern = sparse.csr_array(
-        (matrix != 0).astype(np.int64) + sparse.eye_array(matrix.shape[0], dtype=np.int64)
-    )
+    pattern = sparse.csr_array((matrix != 0).astype(np.int64) + sparse.eye_array(matrix.shape[0], dtype=np.int64))
     return _read_only(sparse.csr_array(pattern.astype(bool)))
 
 
@@ -87,9 +83,7 @@ def _read_only(matrix: sparse.csr_array) -> sparse.csr_array:
     return matrix
 
 
-def parse_diffusion(
-    diffusion: Any, adjacency: sparse.csr_array, complaints: Complaints
-) -> str | sparse.csr_array:
+def parse_diffusion(diffusion: Any, adjacency: sparse.csr_array, complaints: Complaints) -> str | sparse.csr_array:
     """The name of a rule as it is; a matrix W checked against the graph, eq. (11)."""
     if isinstance(diffusion, str):
         return diffusion

@@ -97,9 +97,7 @@ class SensorNetwork:
             from tolnet.model.convert import plant_matrices
 
             A, B, dt = plant_matrices(A, B, Q, dt, complaints)
-        values: dict[str, Any] = _parse_plant(
-            A, B, Q, input, initial_mean, initial_covariance, states, complaints
-        )
+        values: dict[str, Any] = _parse_plant(A, B, Q, input, initial_mean, initial_covariance, states, complaints)
         n = len(values["A"]) if values["A"] is not None else None
         if n is not None:
             values |= _parse_sensors(C, R, D, rows, n, complaints)

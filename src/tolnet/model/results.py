@@ -89,9 +89,7 @@ class SteadyState(_ReadOnly):
         Z[good] = np.linalg.solve(eye + V @ S, V)
         return (Z + Z.mT) / 2  # rounding only: the exact matrix is symmetric
 
-    def gain(
-        self, C: Float[ndarray, "p n"], R: Float[ndarray, "p p"], k: int | None = None
-    ) -> Float[ndarray, "n p"]:
+    def gain(self, C: Float[ndarray, "p n"], R: Float[ndarray, "p p"], k: int | None = None) -> Float[ndarray, "n p"]:
         """G = A (V^-1 + S)^-1 C' R^-1 of filter k for sensors C, R stacked, eqs. (7), (44); k = None for no stack."""
         Z = self.filtered if k is None else self.filtered[k]
         return self.A @ Z @ np.linalg.solve(R, C).T
@@ -112,9 +110,7 @@ class SteadyState(_ReadOnly):
         stack = self.theta.shape
         if stack:
             return f"<SteadyState of {stack} filters, {int(self.settles.sum())} ok>"
-        return (
-            f"<SteadyState {self.status}: theta = {float(self.theta):.6g}, tr V = {float(self.trace_V):.6g}>"
-        )
+        return f"<SteadyState {self.status}: theta = {float(self.theta):.6g}, tr V = {float(self.trace_V):.6g}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,9 +151,7 @@ class ToleranceTable(_ReadOnly):
         """Neighbours of node k and G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1, columns by neighbour in that order."""
         neighbours = self.network.neighbours(k)
         AZ = self.network.A @ self.local.filtered[k]
-        columns = [
-            AZ @ np.linalg.solve(R_l, C_l).T for C_l, R_l in map(self.network.sensor, neighbours.tolist())
-        ]
+        columns = [AZ @ np.linalg.solve(R_l, C_l).T for C_l, R_l in map(self.network.sensor, neighbours.tolist())]
         return neighbours, np.concatenate(columns, axis=1)
 
     def __repr__(self) -> str:

@@ -80,9 +80,7 @@ def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[nda
     given = np.array(rows)
     whole = given.dtype.kind in "iu" and given.ndim == 1 and given.size >= 2
     if not whole or given[0] != 0 or given[-1] != len(C) or (np.diff(given.astype(np.int64)) < 0).any():
-        complaints.add(
-            "rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C"
-        )
+        complaints.add("rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C")
         return None
     return C, given.astype(np.int64)
 
@@ -97,9 +95,7 @@ def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints)
     if isinstance(blocks, ndarray) and blocks.ndim == 3:
         p = int(sizes[0]) if len(set(sizes.tolist())) == 1 else None
         if p is None:
-            complaints.add(
-                f"sensors.{letter}", "is a stack, but the p_k differ; give one matrix a node", shape=True
-            )
+            complaints.add(f"sensors.{letter}", "is a stack, but the p_k differ; give one matrix a node", shape=True)
             return None
         stack = checks.shaped(
             blocks, (len(sizes), p, p), f"sensors.{letter}", f"{len(sizes)} x {p} x {p}", complaints
@@ -114,9 +110,7 @@ def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints)
         key = f"sensors[{k}].{letter}"
         if p == 0 and np.size(block) == 0:
             continue
-        part = checks.shaped(
-            block, (p, p), key, f"{p} x {p}, one row and column for each row of C,", complaints
-        )
+        part = checks.shaped(block, (p, p), key, f"{p} x {p}, one row and column for each row of C,", complaints)
         flat.append(np.empty(0) if part is None else part.reshape(-1))
     return np.concatenate(flat) if flat else np.empty(0)
 
