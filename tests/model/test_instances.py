@@ -12,4 +12,5 @@ def test_ring_projectile_has_the_reference_information():
     np.testing.assert_allclose(
         np.diag(network.total_information)[3:], [7.68884822, 4.05107948, 3.47061219], rtol=0, atol=5e-9
     )
+    assert network.input is not None
     np.testing.assert_allclose(network.input, [0, 0, -1, 0, 0, -0.05], atol=1e-15)

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
+import math
+import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from tolnet.model.errors import Complaint, InputError, ShapeError
+
+MOST_OF_A_KIND = 50
+"""How many complaints of one kind are written out before the rest are only counted."""
+
+_UNWRITABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 class Complaints:
@@ -22,6 +31,19 @@ class Complaints:
         self.found.append(Complaint(key, message))
         self.only_shapes &= shape
 
+    def add_each(self, pairs: Iterable[tuple[str, str]], count: int) -> None:
+        """Note `count` complaints of one kind, of which only the first `MOST_OF_A_KIND` are written out."""
+        for i, (key, message) in enumerate(pairs):
+            if i == MOST_OF_A_KIND:
+                self.add(key.partition("[")[0], f"has {count - i} more complaints of this kind")
+                break
+            self.add(key, message)
+
+    def take(self, others: Complaints) -> None:
+        """Note all that `others` found as well."""
+        self.found.extend(others.found)
+        self.only_shapes &= others.only_shapes
+
     def raise_if_any(self, source: str | None = None) -> None:
         """Raise one InputError (ShapeError where only shapes are wrong) that carries everything found."""
         if self.found:
@@ -32,17 +54,26 @@ def real_array(value: Any, key: str, complaints: Complaints) -> ndarray | None:
     """A private, contiguous copy of `value` in doubles; None, with a complaint, if it is no array of numbers."""
     try:
         given = np.asarray(value)
-        if given.dtype.kind not in "biuf" and given.size:
+        if given.dtype.kind not in "iuf" or (isinstance(value, list | tuple) and holds_truth(value)):
             raise TypeError
-        array = np.array(given, dtype=np.float64, order="C")
+        with np.errstate(over="ignore"):  # an overflow is found below, as an infinity
+            array = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         complaints.add(key, "is not a rectangular array of real numbers")
         return None
     if not np.isfinite(array).all():
-        where = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(array))[0])
-        complaints.add(key, f"has a value that is not finite at {where or 'its only entry'}")
+        first = np.argwhere(~np.isfinite(array))[0]
+        where = "".join(f"[{i}]" for i in first) or "its only entry"
+        complaints.add(key, f"has {float(array[tuple(first)])} at {where}; finite numbers were expected")
         return None
     return array
+
+
+def holds_truth(value: Any) -> bool:
+    """Whether there is a boolean anywhere in nested lists; NumPy would silently take it for 0 or 1."""
+    if isinstance(value, list | tuple):
+        return any(map(holds_truth, value))
+    return isinstance(value, bool | np.bool_) or (isinstance(value, ndarray) and value.dtype.kind == "b")
 
 
 def shaped(value: Any, shape: tuple[int | None, ...], key: str, meant: str, complaints: Complaints) -> ndarray | None:
@@ -66,35 +97,113 @@ def by(shape: tuple[int, ...]) -> str:
 
 def symmetric(matrix: ndarray, key: str, complaints: Complaints) -> bool:
     """Whether a matrix equals its transpose to the last bit; complains where it does not."""
-    skew = np.abs(matrix - matrix.T)
-    if not skew.any():
+    different = np.argwhere(matrix != matrix.T)
+    if not len(different):
         return True
-    i, j = (int(x) for x in np.unravel_index(skew.argmax(), skew.shape))
-    i, j = min(i, j), max(i, j)
+    i, j = (int(x) for x in different[0])
     complaints.add(
         key,
-        f"is not symmetric: [{i}][{j}] is {matrix[i, j]!r}, [{j}][{i}] is {matrix[j, i]!r}"
-        " (if that is rounding, write (M + M')/2)".replace("np.float64", ""),
+        f"is not symmetric: [{i}][{j}] is {float(matrix[i, j])!r}, [{j}][{i}] is {float(matrix[j, i])!r}"
+        " (if that is rounding, write (M + M')/2)",
     )
     return False
 
 
 def positive(matrix: ndarray, key: str, complaints: Complaints, *, definite: bool) -> None:
     """Complain unless a symmetric matrix is positive (semi)definite, judged after scaling its diagonal to one."""
-    diagonal = np.diag(matrix)
     word = "definite" if definite else "semidefinite"
-    if (diagonal < 0).any() or (definite and (diagonal == 0).any()):
-        i = int(np.flatnonzero((diagonal < 0) | (definite & (diagonal == 0)))[0])
+    diagonal = np.diag(matrix)
+    # A zero on the diagonal of a semidefinite matrix has zeros beside it.
+    low = np.flatnonzero((diagonal <= 0) if definite else (diagonal < 0) | ((diagonal == 0) & matrix.any(axis=1)))
+    if low.size:
+        i = int(low[0])
         complaints.add(key, f"is not positive {word}: [{i}][{i}] is {float(diagonal[i])!r}")
         return
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    smallest = float(np.linalg.eigvalsh(matrix / scale / scale[:, None])[0]) if matrix.size else 1.0
+    smallest = float(smallest_scaled_eigenvalue(matrix[None])[0])
     rounding = len(matrix) * np.finfo(float).eps
     if smallest <= rounding if definite else smallest < -10 * rounding:
         complaints.add(
             key,
             f"is not positive {word}: scaled to a unit diagonal, its smallest eigenvalue is {smallest:.3g}",
         )
+
+
+def smallest_scaled_eigenvalue(stack: ndarray) -> ndarray:
+    """The smallest eigenvalue of each symmetric matrix scaled to a unit diagonal; -inf where that overflows."""
+    diagonal = np.diagonal(stack, axis1=1, axis2=2)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    with np.errstate(over="ignore"):
+        unit = stack / scale[:, :, None] / scale[:, None, :]
+    # An entry far above one already refutes definiteness, and eigvalsh could not take an infinite one.
+    tame = (np.abs(unit) < 1e100).all(axis=(1, 2))
+    smallest = np.full(len(stack), -np.inf)
+    smallest[tame] = np.linalg.eigvalsh(unit[tame])[:, 0]
+    return smallest
+
+
+def number(value: Any, key: str, meant: str, complaints: Complaints) -> float | None:
+    """`value` as a double; None, with a complaint that says what was `meant`, if it is no finite real number."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        complaints.add(key, f"is {shown(value)}; {meant} was expected")
+        return None
+    try:
+        result = float(value)
+    except OverflowError:  # an integer beyond the doubles
+        result = math.inf
+    if not math.isfinite(result):
+        complaints.add(key, f"is {shown(value)}; {meant} was expected")
+        return None
+    return result
+
+
+def labels(value: Any, count: int | None, key: str, meant: str, complaints: Complaints) -> tuple[str, ...] | None:
+    """`count` texts without control characters, as a tuple; None, with a complaint, if they are not that."""
+    if value is None:
+        return None
+    given = value.tolist() if isinstance(value, ndarray) else value
+    if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(x, str) for x in given):
+        complaints.add(key, "is not a list of texts")
+        return None
+    if count is not None and len(given) != count:
+        complaints.add(key, f"has {len(given)} entries; {meant}", shape=True)
+        return None
+    if _UNWRITABLE.search("".join(given)):
+        bad = next(i for i, x in enumerate(given) if _UNWRITABLE.search(x))
+        complaints.add(f"{key}[{bad}]", f"is {given[bad]!r}; text without control characters was expected")
+        return None
+    return tuple(given)
+
+
+def text(value: Any, key: str, complaints: Complaints, *, lines: bool = False) -> None:
+    """Complain unless `value` is text that can be written to a file: no control characters, save `lines`' own."""
+    plain = isinstance(value, str) and not _UNWRITABLE.search(re.sub("[\n\t]", "", value) if lines else value)
+    if not plain:
+        complaints.add(key, f"is {shown(value)}; text without control characters was expected")
+
+
+def shown(value: Any) -> str:
+    """A value as a message quotes it: short, and harmless whatever it is."""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int) and value.bit_length() > 70:
+        return f"an integer of about {int(value.bit_length() * math.log10(2)) + 1} digits"
+    if isinstance(value, int | float | np.integer | np.floating):
+        return str(value)
+    if isinstance(value, str):
+        return repr(value) if len(value) <= 60 else f"{value[:57]!r}..."
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    return {dict: "a table", type(None): "nothing"}.get(type(value), f"of type {type(value).__name__}")
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Which of the `known` words looks most like `word`, whatever the case."""
+
+    def likeness(candidate: str) -> tuple[float, bool]:
+        ratio = difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
+        return ratio, candidate == word
+
+    return max(known, key=likeness)
 
 
 def frozen(array: ndarray) -> ndarray:

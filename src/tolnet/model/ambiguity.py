@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from tolnet.model.errors import Complaint, InputError
+from tolnet.model._checks import Complaints, number, shown
 
 Convention = Literal["gamma", "nats"]
 """`gamma`: tolerances are values of gamma(P, theta) as printed in eq. (4). `nats`: they are D_KL = gamma / 2."""
@@ -28,19 +27,22 @@ class Ambiguity:
     tau: float = 0.0
 
     def __post_init__(self) -> None:
-        complaints = list(self._complaints())
-        if complaints:
-            raise InputError(complaints)
-
-    def _complaints(self):
-        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
-            yield Complaint("ambiguity.tolerance", f"is {self.tolerance}; a finite number >= 0 was expected")
+        complaints = Complaints()
+        meant = "a finite number >= 0"
+        tolerance = number(self.tolerance, "ambiguity.tolerance", meant, complaints)
+        if tolerance is not None and tolerance < 0:
+            complaints.add("ambiguity.tolerance", f"is {shown(self.tolerance)}; {meant} was expected")
         if self.convention not in CONVENTIONS:
-            yield Complaint("ambiguity.convention", f"is {self.convention!r}; 'gamma' or 'nats' was expected")
-        if not 0 <= self.tau <= 1:
-            yield Complaint("ambiguity.tau", f"is {self.tau}; a number from 0 to 1 was expected")
-        elif self.tau != 0 and self.convention == "nats":
-            yield Complaint("ambiguity.convention", "is 'nats', which only tau = 0 has; use 'gamma'")
+            complaints.add("ambiguity.convention", f"is {shown(self.convention)}; 'gamma' or 'nats' was expected")
+        meant = "a number from 0 to 1"
+        tau = number(self.tau, "ambiguity.tau", meant, complaints)
+        if tau is not None and not 0 <= tau <= 1:
+            complaints.add("ambiguity.tau", f"is {shown(self.tau)}; {meant} was expected")
+        elif tau and self.convention == "nats":
+            complaints.add("ambiguity.convention", "is 'nats', which only tau = 0 has; use 'gamma'")
+        complaints.raise_if_any()
+        object.__setattr__(self, "tolerance", tolerance)
+        object.__setattr__(self, "tau", tau)
 
     @property
     def gamma(self) -> float:

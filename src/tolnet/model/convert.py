@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
+from jaxtyping import Float, Int
+from numpy import ndarray
 
 from tolnet.model._checks import Complaints
 
@@ -13,21 +14,69 @@ if TYPE_CHECKING:
     import networkx
 
 
-def plant_matrices(plant: Any, B: Any, Q: Any, dt: float | None, complaints: Complaints) -> tuple[Any, Any, Any]:
-    """A, B and dt of a discrete-time `control.StateSpace`; B and dt given beside it come first.
+def plant_matrices(plant: Any, B: Any, Q: Any, dt: Any, complaints: Complaints) -> tuple[Any, Any, Any]:
+    """A, B and dt of a discrete-time `control.StateSpace`; B, Q and dt given beside it come first.
 
-    The plant's input matrix is taken for the factor B of the process noise. A continuous-time plant is refused,
-    since only its user can say how it is sampled.
+    The plant's input matrix is taken for the factor B of the process noise. A plant in continuous time, or
+    whose time base is not said, is refused, since only its user can say how it is sampled.
     """
-    if plant.dt == 0:
+    base = plant.dt
+    if base == 0 and base is not False:
         complaints.add("plant", "is a continuous-time system; sample it first: plant.sample(dt)")
-    step = float(plant.dt) if dt is None and isinstance(plant.dt, int | float) and plant.dt is not True else dt
-    factor = np.asarray(plant.B) if B is None and Q is None else B
-    return np.asarray(plant.A), factor, step
+    elif base is None and dt is None:
+        complaints.add("plant", "does not say whether its time is discrete; give it a sampling time, or dt beside it")
+    if dt is None and not isinstance(base, bool) and base:
+        dt = base
+    factor = plant.B if B is None and Q is None else B
+    return plant.A, factor, dt
 
 
-def adjacency_of_graph(graph: networkx.Graph) -> sparse.csr_array:
-    """The 0/1 adjacency of a networkx graph in the order of its nodes; edge attributes are not weights here."""
-    import networkx
+def links_of_graph(graph: networkx.Graph) -> Int[ndarray, "E 2"]:
+    """The edges of a networkx graph as pairs of places in the order of its nodes; edge attributes are not read."""
+    place = {node: i for i, node in enumerate(graph)}
+    pairs = [(place[u], place[v]) for u, v in graph.edges()]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    return sparse.csr_array(networkx.to_scipy_sparse_array(graph, weight=None, format="csr"))
+
+def positions_of_graph(graph: networkx.Graph) -> Float[ndarray, "N d"] | None:
+    """Where the nodes are, from the attribute `pos` or from two attributes; None unless every node says so.
+
+    The two are `x` and `y`, or `longitude` and `latitude`, whatever the case.
+    """
+    attributes = [{k.lower(): v for k, v in data.items() if isinstance(k, str)} for _, data in graph.nodes(data=True)]
+    candidates = [[own.get("pos") for own in attributes]]
+    candidates += [[[own.get(x), own.get(y)] for own in attributes] for x, y in _COORDINATES]
+    for points in candidates:
+        rows = [_point(point) for point in points]
+        if all(rows) and len({len(row) for row in rows}) == 1:
+            return np.array(rows)
+    return None
+
+
+_COORDINATES = (("x", "y"), ("longitude", "latitude"))
+
+
+def names_of_graph(graph: networkx.Graph) -> tuple[str, ...] | None:
+    """What the nodes are called: their attribute `name` or `label`, else themselves where they are text.
+
+    None where neither is so for every node, or where the text is only the node's place.
+    """
+    for key in ("name", "label"):
+        found = [data.get(key) for _, data in graph.nodes(data=True)]
+        names = tuple(name for name in found if isinstance(name, str) and name)
+        if len(names) == len(found):
+            return names
+    names = tuple(node for node in graph if isinstance(node, str))
+    said = len(names) == len(graph) and any(node != str(i) for i, node in enumerate(names))
+    return names if said else None
+
+
+def _point(value: Any) -> list[float]:
+    """Two or three coordinates; nothing where they are not that. Text counts, since yEd writes x and y so."""
+    if not isinstance(value, tuple | list | ndarray) or len(value) not in (2, 3):
+        return []
+    try:
+        point = [float(x) for x in value]
+    except (TypeError, ValueError, OverflowError):
+        return []
+    return point if np.isfinite(point).all() else []

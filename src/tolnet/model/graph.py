@@ -5,10 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.model._checks import Complaints
+from tolnet.model._checks import Complaints, by, frozen, holds_truth, nearest, shown
+
+DIFFUSION_RULES = ("relative-degree", "uniform", "metropolis", "laplacian", "none")
+"""The names that `diffusion.rule` takes; the first is the default."""
 
 COLUMN_SUM_TOLERANCE = 1e-9
 
@@ -19,95 +23,161 @@ def parse_adjacency(
     """`directed`, and the N x N boolean adjacency with self-loops, from edges, a matrix or a networkx graph.
 
     [l, k] says that node k hears node l, so an edge [from, to] is the entry [from, to]. A matrix that is not
-    symmetric makes the graph directed.
+    symmetric makes the graph directed. Parallel edges of a networkx multigraph are one link.
     """
     if adjacency is not None and edges is not None:
         complaints.add("network", "has both edges and adjacency; exactly one was expected")
     if edges is not None:
         return directed, adjacency_of_edges(edges, directed, N, complaints)
     if adjacency is None:
-        complaints.add("network", "has no edges")
-        return directed, with_self_loops(sparse.csr_array((N, N)))
+        if N > 1:
+            complaints.add("network", "has neither edges nor a graph; exactly one was expected")
+        return directed, _pattern(_NO_LINKS, N)
     if hasattr(adjacency, "is_directed"):
-        from tolnet.model.convert import adjacency_of_graph
+        from tolnet.model.convert import links_of_graph
 
+        if len(adjacency) != N:
+            complaints.add("network", f"has a graph of {len(adjacency)} nodes; there are {N} sensors", shape=True)
+            return directed, _pattern(_NO_LINKS, N)
         directed = adjacency.is_directed()
-        adjacency = adjacency_of_graph(adjacency)
-    try:
-        matrix = sparse.csr_array(adjacency)
-    except (TypeError, ValueError):
-        complaints.add("network.adjacency", "is no matrix and no networkx graph")
-        return directed, with_self_loops(sparse.csr_array((N, N)))
-    if matrix.shape != (N, N):
-        found = " x ".join(map(str, matrix.shape))
-        complaints.add("network.adjacency", f"is {found}; there are {N} sensors", shape=True)
-        return directed, with_self_loops(sparse.csr_array((N, N)))
-    matrix = with_self_loops(matrix)
+        links = links_of_graph(adjacency)
+        return directed, _pattern(links if directed else np.concatenate([links, links[:, ::-1]]), N)
+    links = _links_of_matrix(adjacency, N, complaints)
+    matrix = _pattern(links, N)
     return directed or bool((matrix != matrix.T).nnz), matrix
+
+
+def _links_of_matrix(adjacency: Any, N: int, complaints: Complaints) -> Int[ndarray, "E 2"]:
+    """Where a dense or sparse N x N matrix is not zero."""
+    key = "network.adjacency"
+    if not sparse.issparse(adjacency):
+        try:
+            adjacency = np.asarray(adjacency)
+        except ValueError:
+            adjacency = np.empty(0, dtype=object)
+    if adjacency.dtype.kind not in "biuf" or adjacency.ndim != 2:
+        complaints.add(key, "is no matrix of numbers and no networkx graph")
+        return _NO_LINKS
+    if adjacency.shape != (N, N):
+        complaints.add(key, f"is {by(adjacency.shape)}; there are {N} sensors", shape=True)
+        return _NO_LINKS
+    entries = sparse.coo_array(adjacency)
+    if not np.isfinite(entries.data).all():
+        complaints.add(key, "has a value that is not a finite number")
+        return _NO_LINKS
+    linked = entries.data != 0
+    return np.stack([entries.row[linked], entries.col[linked]], axis=1).astype(np.int64)
 
 
 def adjacency_of_edges(edges: Any, directed: bool, N: int, complaints: Complaints) -> sparse.csr_array:
     """The adjacency of an (E, 2) list of links; complains about strangers and about links given twice."""
     key = "network.edges"
-    pairs = np.asarray(edges) if np.size(edges) else np.empty((0, 2), dtype=np.int64)
-    nothing = with_self_loops(sparse.csr_array((N, N)))
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
+    try:
+        pairs = np.asarray(edges)
+    except ValueError:
+        pairs = np.empty(0, dtype=object)
+    if pairs.size == 0 and pairs.dtype != object:
+        pairs = _NO_LINKS
+    if pairs.ndim != 2 or pairs.shape[-1] != 2 or pairs.dtype.kind not in "iu" or holds_truth(edges):
         complaints.add(key, "is not a list of pairs of node indices")
-        return nothing
-    pairs = pairs.astype(np.int64)
+        return _pattern(_NO_LINKS, N)
     strangers = np.flatnonzero(((pairs < 0) | (pairs >= N)).any(axis=1))
-    for e in strangers:
-        complaints.add(f"{key}[{e}]", f"is {pairs[e].tolist()}; nodes are numbered from 0 to {N - 1}")
     if strangers.size:
-        return nothing
-    sorted_pairs = pairs if directed else np.sort(pairs, axis=1)
-    code = sorted_pairs[:, 0] * N + sorted_pairs[:, 1]
+        each = ((f"{key}[{e}]", f"is {pairs[e].tolist()}; nodes are numbered from 0 to {N - 1}") for e in strangers)
+        complaints.add_each(each, strangers.size)
+        return _pattern(_NO_LINKS, N)
+    pairs = pairs.astype(np.int64)
+    _check_repeats(pairs if directed else np.sort(pairs, axis=1), pairs, N, complaints)
+    return _pattern(pairs if directed else np.concatenate([pairs, pairs[:, ::-1]]), N)
+
+
+def _check_repeats(links: Int[ndarray, "E 2"], pairs: Int[ndarray, "E 2"], N: int, complaints: Complaints) -> None:
+    """Complain about each of `pairs` whose link an earlier one gave."""
+    code = links[:, 0] * N + links[:, 1]
+    ordered = np.sort(code)
+    if not (ordered[1:] == ordered[:-1]).any():
+        return
     _, first, inverse = np.unique(code, return_index=True, return_inverse=True)
-    for e in np.flatnonzero(first[inverse] != np.arange(len(code))):
-        complaints.add(f"{key}[{e}]", f"is {pairs[e].tolist()}, which edges[{first[inverse[e]]}] already gave")
-    both = pairs if directed else np.concatenate([pairs, pairs[:, ::-1]])
-    return with_self_loops(sparse.csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(N, N)))
+    repeats = np.flatnonzero(first[inverse] != np.arange(len(code)))
+    each = (
+        (f"network.edges[{e}]", f"is {pairs[e].tolist()}, which edges[{first[inverse[e]]}] already gave")
+        for e in repeats
+    )
+    complaints.add_each(each, repeats.size)
 
 
-def with_self_loops(matrix: sparse.csr_array) -> sparse.csr_array:
-    """The boolean pattern of a matrix, its diagonal added, indices sorted, arrays read-only."""
-    pattern = sparse.csr_array((matrix != 0).astype(np.int64) + sparse.eye_array(matrix.shape[0], dtype=np.int64))
-    return _read_only(sparse.csr_array(pattern.astype(bool)))
+_NO_LINKS = frozen(np.empty((0, 2), dtype=np.int64))
 
 
-def _read_only(matrix: sparse.csr_array) -> sparse.csr_array:
+def _pattern(links: Int[ndarray, "E 2"], N: int) -> sparse.csr_array:
+    """The boolean N x N matrix of links and self-loops, indices sorted, arrays read-only."""
+    own = np.arange(N)
+    row, column = np.concatenate([links[:, 0], own]), np.concatenate([links[:, 1], own])
+    matrix = sparse.coo_array((np.ones(len(row), dtype=bool), (row, column)), shape=(N, N)).tocsr()
+    return read_only(matrix)
+
+
+def read_only(matrix: sparse.csr_array) -> sparse.csr_array:
+    """The same matrix in canonical form, its arrays read-only from now on."""
     matrix.sum_duplicates()
-    matrix.sort_indices()
     for part in (matrix.data, matrix.indices, matrix.indptr):
         part.setflags(write=False)
     return matrix
 
 
+def links_of(adjacency: sparse.csr_array, directed: bool) -> Int[ndarray, "E 2"]:
+    """The links [from, to] without self-loops, sorted; each undirected one once, its smaller node first."""
+    own = adjacency.tocoo()
+    wanted = own.row != own.col if directed else own.row < own.col
+    return np.stack([own.row[wanted], own.col[wanted]], axis=1).astype(np.int64)
+
+
 def parse_diffusion(diffusion: Any, adjacency: sparse.csr_array, complaints: Complaints) -> str | sparse.csr_array:
-    """The name of a rule as it is; a matrix W checked against the graph, eq. (11)."""
+    """The name of a rule, known to exist; or a matrix W checked against the graph, eq. (11)."""
+    default = DIFFUSION_RULES[0]
     if isinstance(diffusion, str):
+        if diffusion not in DIFFUSION_RULES:
+            rules = ", ".join(DIFFUSION_RULES)
+            hint = f"did you mean {nearest(diffusion, DIFFUSION_RULES)!r}? The rules are {rules}"
+            complaints.add("diffusion.rule", f"is {shown(diffusion)}; {hint}")
         return diffusion
-    key, N = "diffusion.weights", adjacency.shape[0]
-    try:
-        W = sparse.csr_array(diffusion, dtype=np.float64, copy=True)
-    except (TypeError, ValueError):
+    key, N = "diffusion.weights", len(adjacency.indptr) - 1
+    if not sparse.issparse(diffusion):
+        try:
+            diffusion = np.asarray(diffusion)
+        except ValueError:
+            diffusion = np.empty(0, dtype=object)
+    if diffusion.dtype.kind not in "iuf" or diffusion.ndim != 2:
         complaints.add(key, "is not an N x N matrix of numbers")
-        return "relative-degree"
-    if W.shape != (N, N):
-        found = " x ".join(map(str, W.shape))
-        complaints.add(key, f"is {found}; there are {N} nodes", shape=True)
-        return "relative-degree"
+        return default
+    if diffusion.shape != (N, N):
+        complaints.add(key, f"is {by(diffusion.shape)}; there are {N} nodes", shape=True)
+        return default
+    W = sparse.csr_array(diffusion, dtype=np.float64, copy=True)
     W.sum_duplicates()
     W.eliminate_zeros()
-    coo = W.tocoo()
-    at: ndarray = np.asarray(adjacency[coo.row, coo.col]).ravel().astype(bool)
-    bad = ~np.isfinite(coo.data) | (coo.data < 0)
-    for l, k, w in zip(coo.row[bad], coo.col[bad], coo.data[bad], strict=True):
-        complaints.add(f"{key}[{l}][{k}]", f"is {w}; a finite number >= 0 was expected")
-    for l, k in zip(coo.row[~at], coo.col[~at], strict=True):
-        complaints.add(f"{key}[{l}][{k}]", f"weighs node {l} at node {k}, which does not hear it")
-    if not bad.any():
-        sums = np.asarray(W.sum(axis=0)).ravel()
-        for k in np.flatnonzero(np.abs(sums - 1) > COLUMN_SUM_TOLERANCE):
-            complaints.add(key, f"has column {k} summing to {float(sums[k])!r}; 1 was expected")
-    return _read_only(W)
+    _check_weights(W, adjacency, key, complaints)
+    return read_only(W)
+
+
+def _check_weights(W: sparse.csr_array, adjacency: sparse.csr_array, key: str, complaints: Complaints) -> None:
+    """Complain about weights that are no numbers >= 0, that weigh a stranger, or whose columns do not sum to one."""
+    own = W.tocoo()
+    bad = np.flatnonzero(~np.isfinite(own.data) | (own.data < 0))
+    each = (
+        (f"{key}[{own.row[i]}][{own.col[i]}]", f"is {float(own.data[i])}; a finite number >= 0 was expected")
+        for i in bad
+    )
+    complaints.add_each(each, bad.size)
+    weighed = sparse.csr_array((np.ones(W.nnz, dtype=bool), W.indices, W.indptr), shape=W.shape)
+    strangers = sparse.coo_array(weighed > adjacency)
+    each = (
+        (f"{key}[{l}][{k}]", f"weighs node {l} at node {k}, which does not hear it")
+        for l, k in zip(strangers.row, strangers.col, strict=True)
+    )
+    complaints.add_each(each, strangers.nnz)
+    if not bad.size:
+        sums = np.bincount(own.col, weights=own.data, minlength=len(W.indptr) - 1)
+        off = np.flatnonzero(np.abs(sums - 1) > COLUMN_SUM_TOLERANCE)
+        each = ((key, f"has column {k} summing to {float(sums[k])!r}; 1 was expected") for k in off)
+        complaints.add_each(each, off.size)

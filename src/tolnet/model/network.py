@@ -16,7 +16,7 @@ from tolnet.model import _checks as checks
 from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
-from tolnet.model.graph import parse_adjacency, parse_diffusion
+from tolnet.model.graph import DIFFUSION_RULES, links_of, parse_adjacency, parse_diffusion
 from tolnet.model.sensors import Packed
 
 
@@ -85,11 +85,11 @@ class SensorNetwork:
         states: Sequence[str] | None = None,
         dt: float | None = None,
         positions: Any = None,
-        names: Sequence[str] | None = None,
+        names: Any = None,
         name: str = "",
         description: str = "",
         ambiguity: Ambiguity | None = None,
-        diffusion: Any = "relative-degree",
+        diffusion: Any = DIFFUSION_RULES[0],
         digest: str | None = None,
     ) -> None:
         complaints = Complaints()
@@ -97,35 +97,29 @@ class SensorNetwork:
             from tolnet.model.convert import plant_matrices
 
             A, B, dt = plant_matrices(A, B, Q, dt, complaints)
-        values: dict[str, Any] = _parse_plant(A, B, Q, input, initial_mean, initial_covariance, states, complaints)
-        n = len(values["A"]) if values["A"] is not None else None
-        if n is not None:
-            values |= _parse_sensors(C, R, D, rows, n, complaints)
-        N = len(values["rows"]) - 1 if values.get("rows") is not None else None
+        values = _parse_plant(A, B, Q, input, initial_mean, initial_covariance, complaints)
+        n = None if values["A"] is None else len(values["A"])
+        values |= _parse_sensors(C, R, D, rows, n, complaints)
+        N = None if values["rows"] is None else len(values["rows"]) - 1
+        if not isinstance(directed, bool | np.bool_):
+            complaints.add("network.directed", f"is {checks.shown(directed)}; true or false was expected")
         if N is not None:
-            directed, graph = parse_adjacency(adjacency, edges, directed, N, complaints)
-            values["adjacency"] = graph
-            values["diffusion"] = parse_diffusion(diffusion, graph, complaints)
-            if positions is not None:
-                values["positions"] = checks.shaped(
-                    positions, (N, None), "network.positions", f"{N} x 2, a point for each node,", complaints
-                )
-            if names is not None and len(names) != N:
-                complaints.add("network.names", f"has {len(names)} entries; there are {N} nodes", shape=True)
-        if dt is not None and not (np.isfinite(dt) and dt > 0):
-            complaints.add("plant.dt", f"is {dt}; a positive number of seconds was expected")
-        complaints.raise_if_any()
+            values |= _parse_network(adjacency, edges, bool(directed), positions, names, diffusion, N, complaints)
         values |= {
-            "directed": directed,
-            "states": None if states is None else tuple(states),
-            "dt": None if dt is None else float(dt),
-            "names": None if names is None else tuple(names),
+            "states": checks.labels(states, n, "plant.states", f"plant.A is {n} x {n}", complaints),
+            "dt": None if dt is None else checks.number(dt, "plant.dt", "a positive number of seconds", complaints),
             "name": name,
             "description": description,
             "ambiguity": ambiguity,
             "digest": digest,
         }
-        values.setdefault("positions", None)
+        if values["dt"] is not None and values["dt"] <= 0:
+            complaints.add("plant.dt", f"is {checks.shown(dt)}; a positive number of seconds was expected")
+        checks.text(name, "name", complaints)
+        checks.text(description, "description", complaints, lines=True)
+        if ambiguity is not None and not isinstance(ambiguity, Ambiguity):
+            complaints.add("ambiguity", f"is {checks.shown(ambiguity)}; an Ambiguity was expected")
+        complaints.raise_if_any()
         for key, value in values.items():
             object.__setattr__(self, key, frozen(value) if isinstance(value, ndarray) else value)
 
@@ -139,19 +133,22 @@ class SensorNetwork:
         """Number of nodes."""
         return len(self.rows) - 1
 
-    @property
+    @cached_property
     def sensors(self) -> Packed:
         """C, the offsets and R as one packed value."""
         return Packed(self.C, self.rows, self.R)
 
     def sensor(self, k: int) -> tuple[Float[ndarray, "p n"], Float[ndarray, "p p"]]:
-        """C_k and R_k of one node."""
+        """C_k and R_k of one node. Raises IndexError for a node that does not exist."""
         if not -self.N <= k < self.N:
             raise IndexError(f"node {k} does not exist: there are {self.N}")
         k %= self.N
-        p = int(self.rows[k + 1] - self.rows[k])
-        start = int(self.sensors.block_offsets[k])
-        return self.C[self.rows[k] : self.rows[k + 1]], self.R[start : start + p * p].reshape(p, p)
+        return self.C[self.rows[k] : self.rows[k + 1]], self.sensors.block(k)
+
+    @property
+    def links(self) -> Int[ndarray, "E 2"]:
+        """The links [from, to] without self-loops, sorted; each undirected one once, its smaller node first."""
+        return links_of(self.adjacency, self.directed)
 
     @cached_property
     def degree(self) -> Int[ndarray, " N"]:
@@ -190,69 +187,94 @@ class SensorNetwork:
         return self.names[k] if self.names else str(k)
 
     def __repr__(self) -> str:
-        links = (self.adjacency.nnz - self.N) // (1 if self.directed else 2)
         kind = "directed links" if self.directed else "links"
-        return f"<SensorNetwork {self.name!r}: n = {self.n}, N = {self.N}, {links} {kind}>"
+        return f"<SensorNetwork {self.name!r}: n = {self.n}, N = {self.N}, {len(self.links)} {kind}>"
 
 
 def _parse_plant(
-    A: Any, B: Any, Q: Any, input: Any, mean: Any, covariance: Any, states: Any, complaints: Complaints
+    A: Any, B: Any, Q: Any, input: Any, mean: Any, covariance: Any, complaints: Complaints
 ) -> dict[str, Any]:
-    values: dict[str, Any] = dict.fromkeys(("A", "B", "Q", "input", "initial_mean", "initial_covariance"))
+    """The checked matrices of the plant; where A cannot be used, the shapes of the others are left alone."""
     A = checks.shaped(A, (None, None), "plant.A", "an n x n matrix", complaints)
-    if A is None:
-        return values
-    n = len(A)
-    if n == 0 or A.shape != (n, n):
+    if A is not None and (A.size == 0 or A.shape[0] != A.shape[1]):
         complaints.add("plant.A", f"is {checks.by(A.shape)}; an n x n matrix was expected", shape=True)
-        return values
-    values["A"] = A
-    if B is not None:
-        B = values["B"] = checks.shaped(B, (n, None), "plant.B", f"{n} x m", complaints)
-    if Q is not None:
-        values["Q"] = checks.shaped(Q, (n, n), "plant.Q", f"{n} x {n}", complaints)
-        if values["Q"] is not None and checks.symmetric(values["Q"], "plant.Q", complaints):
-            checks.positive(values["Q"], "plant.Q", complaints, definite=False)
-    if B is None and Q is None and not complaints.found:
+        A = None
+    n = None if A is None else len(A)
+    many = "n" if n is None else str(n)
+    if B is None and Q is None:
         complaints.add("plant", "has neither B nor Q; exactly one was expected")
+    if B is not None and Q is not None:
+        complaints.add("plant", "has both B and Q; exactly one was expected")
     if B is not None:
-        product = B @ B.T
-        if values["Q"] is not None and not np.array_equal(values["Q"], product):
-            complaints.add("plant", "has both B and Q; exactly one was expected")
-        values["Q"] = product
+        B = checks.shaped(B, (n, None), "plant.B", f"{many} x m", complaints)
+    if Q is not None:
+        Q = _covariance(Q, n, "plant.Q", complaints, definite=False)
+    elif B is not None:
+        Q = sensors.gramian(B)
+        if not np.isfinite(Q).all():
+            complaints.add("plant.B", "is too large: B B' overflows")
     if input is not None:
-        values["input"] = checks.shaped(input, (n,), "plant.input", f"a vector of {n}", complaints)
-    mean = np.zeros(n) if mean is None else mean
-    values["initial_mean"] = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {n}", complaints)
-    covariance = np.eye(n) if covariance is None else covariance
-    key = "plant.initial_covariance"
-    V0 = values["initial_covariance"] = checks.shaped(covariance, (n, n), key, f"{n} x {n}", complaints)
-    if V0 is not None and checks.symmetric(V0, key, complaints):
-        checks.positive(V0, key, complaints, definite=True)
-    if states is not None and len(states) != n:
-        complaints.add("plant.states", f"has {len(states)} labels; plant.A is {n} x {n}", shape=True)
-    return values
+        input = checks.shaped(input, (n,), "plant.input", f"a vector of {many}", complaints)
+    if mean is not None:
+        mean = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {many}", complaints)
+    if covariance is not None:
+        covariance = _covariance(covariance, n, "plant.initial_covariance", complaints, definite=True)
+    return {
+        "A": A,
+        "B": B,
+        "Q": Q,
+        "input": input,
+        "initial_mean": np.zeros(n or 0) if mean is None else mean,
+        "initial_covariance": np.eye(n or 0) if covariance is None else covariance,
+    }
 
 
-def _parse_sensors(C: Any, R: Any, D: Any, rows: Any, n: int, complaints: Complaints) -> dict[str, Any]:
-    values: dict[str, Any] = dict.fromkeys(("C", "R", "D", "rows"))
+def _covariance(value: Any, n: int | None, key: str, complaints: Complaints, *, definite: bool) -> ndarray | None:
+    """A symmetric positive (semi)definite n x n matrix."""
+    many = "n" if n is None else n
+    matrix = checks.shaped(value, (n, n), key, f"{many} x {many}", complaints)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    if checks.symmetric(matrix, key, complaints):
+        checks.positive(matrix, key, complaints, definite=definite)
+    return matrix
+
+
+def _parse_sensors(C: Any, R: Any, D: Any, rows: Any, n: int | None, complaints: Complaints) -> dict[str, Any]:
     packed = sensors.pack_observations(C, rows, n, complaints)
     if packed is None:
-        return values
+        return dict.fromkeys(("C", "R", "D", "rows"))
     C, rows = packed
-    values |= {"C": C, "rows": rows}
-    if R is None and D is None:
-        complaints.add("sensors", "have neither R nor D; exactly one was expected")
-    if D is not None:
-        D = values["D"] = sensors.pack_blocks(D, rows, "D", complaints)
-    if R is not None:
-        R = sensors.pack_blocks(R, rows, "R", complaints)
-    if D is not None and D.size == (np.diff(rows) ** 2).sum():
-        product = sensors.squared(Packed(C, rows, D))
-        if R is not None and not np.array_equal(R, product):
-            complaints.add("sensors", "have both R and D; exactly one was expected")
-        R = product
-    if R is not None and R.size == (np.diff(rows) ** 2).sum():
-        sensors.check_noise(Packed(C, rows, R), "R" if D is None else "D", complaints)
-    values["R"] = R
-    return values
+    R, D = sensors.pack_noise(R, D, C, rows, complaints)
+    return {"C": C, "R": R, "D": D, "rows": rows}
+
+
+def _parse_network(
+    adjacency: Any,
+    edges: Any,
+    directed: bool,
+    positions: Any,
+    names: Any,
+    diffusion: Any,
+    N: int,
+    complaints: Complaints,
+) -> dict[str, Any]:
+    """The graph and what hangs on its nodes; a networkx graph brings positions and names where none are given."""
+    if hasattr(adjacency, "is_directed"):
+        from tolnet.model.convert import names_of_graph, positions_of_graph
+
+        positions = positions_of_graph(adjacency) if positions is None else positions
+        names = names_of_graph(adjacency) if names is None else names
+    directed, graph = parse_adjacency(adjacency, edges, directed, N, complaints)
+    if positions is not None:
+        meant = f"{N} x 2 (or x 3), a point for each node,"
+        positions = checks.shaped(positions, (N, None), "network.positions", meant, complaints)
+        if positions is not None and positions.shape[1] not in (2, 3):
+            complaints.add("network.positions", f"is {checks.by(positions.shape)}; {meant} was expected", shape=True)
+    return {
+        "directed": directed,
+        "adjacency": graph,
+        "positions": positions,
+        "names": checks.labels(names, N, "network.names", f"there are {N} nodes", complaints),
+        "diffusion": parse_diffusion(diffusion, graph, complaints),
+    }

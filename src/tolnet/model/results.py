@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -97,7 +98,7 @@ class SteadyState(_ReadOnly):
     def __getitem__(self, k: int | slice | ndarray) -> SteadyState:
         """Part of a stack, as a SteadyState of its own."""
         shared = {"A", "Q", "tau"}
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         return SteadyState(**{name: v if name in shared else np.asarray(v[k]) for name, v in values.items()})
 
     def __len__(self) -> int:

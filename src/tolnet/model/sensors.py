@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.model import _checks as checks
-from tolnet.model._checks import Complaints
+from tolnet.model._checks import Complaints, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,123 +23,234 @@ class Packed:
     rows: Int[ndarray, " N1"]
     blocks: Float[ndarray, " sum_p2"]
 
-    @property
+    @cached_property
     def block_offsets(self) -> Int[ndarray, " N1"]:
         """Where each node's block begins in `blocks`: cumulative p_k squared."""
-        return np.concatenate([[0], np.cumsum(np.diff(self.rows) ** 2)])
+        return frozen(np.concatenate([[0], np.cumsum(np.diff(self.rows) ** 2)]))
+
+    def block(self, k: int) -> Float[ndarray, "p p"]:
+        """The block of node k."""
+        p = int(self.rows[k + 1] - self.rows[k])
+        start = int(self.block_offsets[k])
+        return self.blocks[start : start + p * p].reshape(p, p)
 
     def groups(self) -> Iterator[tuple[ndarray, Float[ndarray, "K p n"], Float[ndarray, "K p p"]]]:
         """Nodes of equal p_k at a time: their indices, C_k stacked and blocks stacked. Relays are left out."""
-        sizes, offsets = np.diff(self.rows), self.block_offsets
+        sizes = np.diff(self.rows)
         for p in np.unique(sizes[sizes > 0]):
             nodes = np.flatnonzero(sizes == p)
+            if len(nodes) == len(sizes):  # one size for all: both are stacks already
+                yield nodes, self.C.reshape(len(nodes), p, -1), self.blocks.reshape(-1, p, p)
+                continue
             C = self.C[self.rows[nodes, None] + np.arange(p)]
-            blocks = self.blocks[offsets[nodes, None] + np.arange(p * p)].reshape(-1, p, p)
+            blocks = self.blocks[self.block_offsets[nodes, None] + np.arange(p * p)].reshape(-1, p, p)
             yield nodes, C, blocks
 
+    @cached_property
+    def filled(self) -> ndarray:
+        """(N,), whether each node's block has an entry other than zero. A node without rows has none."""
+        result = np.zeros(len(self.rows) - 1, dtype=bool)
+        for nodes, _, stack in self.groups():
+            result[nodes] = stack.any(axis=(1, 2))
+        return frozen(result)
 
-def pack_observations(C: Any, rows: Any, n: int, complaints: Complaints) -> tuple[ndarray, ndarray] | None:
-    """C as (M, n) with offsets `rows`, from a packed array, a stack (N, p, n) or a sequence of matrices."""
+
+def pack_observations(C: Any, rows: Any, n: int | None, complaints: Complaints) -> tuple[ndarray, ndarray] | None:
+    """C as (M, n) with offsets `rows`, from a packed array, a stack (N, p, n) or a sequence of matrices.
+
+    `n` None: any number of columns, since A is wrong already.
+    """
+    columns = "n" if n is None else str(n)
     if rows is not None:
-        packed = checks.shaped(C, (None, n), "sensors.C", f"M x {n} with offsets `rows`", complaints)
+        packed = checks.shaped(C, (None, n), "sensors.C", f"M x {columns} with offsets `rows`", complaints)
         return None if packed is None else _checked_offsets(packed, rows, complaints)
     if isinstance(C, ndarray) and C.ndim == 3:
-        stack = checks.shaped(C, (None, None, n), "sensors.C", f"N x p x {n}", complaints)
+        stack = _stack(C, (None, None, n), "C", f"N x p x {columns}", complaints)
         if stack is None:
             return None
-        N, p = stack.shape[:2]
-        return stack.reshape(N * p, n), np.arange(N + 1) * p
-    if not isinstance(C, Sequence) and not (isinstance(C, ndarray) and C.dtype == object):
+        N, p, width = stack.shape
+        if N == 0:
+            complaints.add("sensors", "is empty; one sensor a node was expected")
+            return None
+        return stack.reshape(N * p, width), np.arange(N + 1) * p
+    if not _by_node(C):
         complaints.add("sensors.C", "is neither a stack N x p x n nor a sequence of one matrix a node")
         return None
     parts = [_observation(C_k, n, f"sensors[{k}].C", complaints) for k, C_k in enumerate(C)]
     if not parts:
-        complaints.add("sensors", "is empty; one table a node was expected")
+        complaints.add("sensors", "is empty; one sensor a node was expected")
     good = [part for part in parts if part is not None]
     if not parts or len(good) < len(parts):
         return None
-    rows = np.concatenate([[0], np.cumsum([len(part) for part in good])])
-    return np.concatenate(good), rows
+    width = max(part.shape[1] for part in good)
+    if any(len(part) and part.shape[1] != width for part in good):
+        complaints.add("sensors", "have different numbers of columns in C; all were expected to agree", shape=True)
+        return None
+    offsets = np.concatenate([[0], np.cumsum([len(part) for part in good])])
+    return np.concatenate([part.reshape(len(part), width) for part in good]), offsets
 
 
-def _observation(C_k: Any, n: int, key: str, complaints: Complaints) -> ndarray | None:
+def _stack(
+    value: ndarray, shape: tuple[int | None, ...], letter: str, meant: str, complaints: Complaints
+) -> ndarray | None:
+    """`checks.shaped` for a stack of matrices, one a node; a value that is not finite is named with its node."""
+    if value.dtype.kind in "iuf" and not np.isfinite(value).all():
+        bad = np.argwhere(~np.isfinite(value).reshape(len(value), -1).all(axis=1)).ravel()
+        wrong = ((f"sensors[{k}].{letter}", "has a value that is not a finite number") for k in bad)
+        complaints.add_each(wrong, len(bad))
+        return None
+    return checks.shaped(value, shape, f"sensors.{letter}", meant, complaints)
+
+
+def _observation(C_k: Any, n: int | None, key: str, complaints: Complaints) -> ndarray | None:
     array = checks.real_array(C_k, key, complaints)
     if array is None:
         return None
     if array.size == 0 and (array.ndim == 1 or array.shape[0] == 0):
-        return np.empty((0, n))
+        return np.empty((0, n or 0))
     if array.ndim != 2:
-        complaints.add(key, f"is {checks.by(array.shape)}; a p x {n} matrix was expected", shape=True)
+        complaints.add(key, f"is {checks.by(array.shape)}; a p x {n or 'n'} matrix was expected", shape=True)
         return None
-    if array.shape[1] != n:
+    if n is not None and array.shape[1] != n:
         complaints.add(key, f"has {array.shape[1]} columns; plant.A is {n} x {n}", shape=True)
         return None
     return array
 
 
 def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[ndarray, ndarray] | None:
-    given = np.array(rows)
+    given = np.asarray(rows)
     whole = given.dtype.kind in "iu" and given.ndim == 1 and given.size >= 2
-    if not whole or given[0] != 0 or given[-1] != len(C) or (np.diff(given.astype(np.int64)) < 0).any():
+    # Compared before any conversion: an offset beyond int64 is out of range as it stands.
+    if not whole or given[0] != 0 or given[-1] != len(C) or (given[1:] < given[:-1]).any():
         complaints.add("rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C")
         return None
     return C, given.astype(np.int64)
 
 
+def pack_noise(
+    R: Any, D: Any, C: ndarray, rows: ndarray, complaints: Complaints
+) -> tuple[ndarray | None, ndarray | None]:
+    """The blocks R_k and, where a node gave its factor, D_k; both flattened and concatenated.
+
+    Each node gives exactly one of the two; the block of D is zero where it gave R, and D is None where all did.
+    """
+    own = Complaints()
+    _check_choice(R, D, rows, own)
+    covariances = None if R is None else pack_blocks(R, rows, "R", own)
+    factors = None if D is None else pack_blocks(D, rows, "D", own)
+    if not own.found:
+        by_factor = np.zeros(len(rows) - 1, dtype=bool)
+        if factors is not None:
+            factor = Packed(C, rows, factors)
+            by_factor = np.ones_like(by_factor) if R is None else factor.filled
+            squares = squared(factor, own)
+            where = np.repeat(by_factor, np.diff(rows) ** 2)
+            covariances = squares if covariances is None else np.where(where, squares, covariances)
+        if covariances is None:  # relays only
+            covariances = np.empty(0)
+        if not own.found:
+            check_noise(Packed(C, rows, covariances), by_factor, own)
+    complaints.take(own)
+    return covariances, factors if factors is not None and factors.any() else None
+
+
+def _by_node(blocks: Any) -> bool:
+    """Whether this is one matrix a node, rather than one array for all."""
+    if isinstance(blocks, ndarray):
+        return blocks.dtype == object and blocks.ndim == 1
+    return isinstance(blocks, Sequence) and not isinstance(blocks, str | bytes)
+
+
+def _check_choice(R: Any, D: Any, rows: ndarray, complaints: Complaints) -> None:
+    """Complain unless every node with a sensor gives exactly one of R and D."""
+    given = [blocks for blocks in (R, D) if blocks is not None]
+    if not given and rows[-1]:
+        complaints.add("sensors", "have neither R nor D; exactly one was expected")
+    if not all(map(_by_node, given)):
+        if len(given) == 2:
+            complaints.add("sensors", "have both R and D; exactly one was expected")
+        return
+    for k, (p, *both) in enumerate(zip(np.diff(rows).tolist(), *given, strict=False)):
+        count = sum(block is not None for block in both)
+        if p and count != 1:
+            found = "both R and D" if count else "neither R nor D"
+            complaints.add(f"sensors[{k}]", f"has {found}; exactly one was expected")
+
+
 def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints) -> ndarray | None:
-    """Square blocks (R_k or D_k) flattened and concatenated, from that form, a stack or a sequence."""
+    """Square blocks (R_k or D_k) flattened and concatenated, from that form, a stack or a sequence.
+
+    A None in a sequence becomes a block of zeros.
+    """
     sizes = np.diff(rows)
     if isinstance(blocks, ndarray) and blocks.ndim == 1 and blocks.dtype != object:
         total = int((sizes**2).sum())
         meant = f"{total} numbers, the sum of p_k squared,"
         return checks.shaped(blocks, (total,), f"sensors.{letter}", meant, complaints)
     if isinstance(blocks, ndarray) and blocks.ndim == 3:
-        p = int(sizes[0]) if len(set(sizes.tolist())) == 1 else None
-        if p is None:
+        p = int(sizes[0])
+        if (sizes != p).any():
             complaints.add(f"sensors.{letter}", "is a stack, but the p_k differ; give one matrix a node", shape=True)
             return None
-        stack = checks.shaped(
-            blocks, (len(sizes), p, p), f"sensors.{letter}", f"{len(sizes)} x {p} x {p}", complaints
-        )
+        stack = _stack(blocks, (len(sizes), p, p), letter, f"{len(sizes)} x {p} x {p}", complaints)
         return None if stack is None else stack.reshape(-1)
-    if not isinstance(blocks, Sequence | ndarray) or len(blocks) != len(sizes):
-        count = len(blocks) if isinstance(blocks, Sequence | ndarray) else "no"
-        complaints.add(f"sensors.{letter}", f"has {count} matrices; C has {len(sizes)}", shape=True)
+    if not _by_node(blocks):
+        complaints.add(f"sensors.{letter}", "is neither a stack N x p x p nor a sequence of one matrix a node")
+        return None
+    if len(blocks) != len(sizes):
+        complaints.add(f"sensors.{letter}", f"has {len(blocks)} matrices; C has {len(sizes)}", shape=True)
         return None
     flat: list[ndarray] = []
     for k, (block, p) in enumerate(zip(blocks, sizes.tolist(), strict=True)):
         key = f"sensors[{k}].{letter}"
-        if p == 0 and np.size(block) == 0:
+        if block is None:
+            flat.append(np.zeros(p * p))
             continue
+        if p == 0 and isinstance(block, Sequence) and not block:  # R = [] beside C = []
+            block = np.empty((0, 0))
         part = checks.shaped(block, (p, p), key, f"{p} x {p}, one row and column for each row of C,", complaints)
         flat.append(np.empty(0) if part is None else part.reshape(-1))
-    return np.concatenate(flat) if flat else np.empty(0)
+    return np.concatenate(flat)
 
 
-def squared(D: Packed) -> ndarray:
-    """The blocks D_k D_k', flattened and concatenated."""
-    R, offsets = np.zeros_like(D.blocks), D.block_offsets
+def squared(D: Packed, complaints: Complaints) -> ndarray:
+    """The blocks D_k D_k', flattened and concatenated; complains where they overflow."""
+    R = np.zeros_like(D.blocks)
     for nodes, _, stack in D.groups():
         p = stack.shape[-1]
-        R[offsets[nodes, None] + np.arange(p * p)] = (stack @ stack.mT).reshape(-1, p * p)
+        product = gramian(stack)
+        bad = ~np.isfinite(product).all(axis=(1, 2))
+        complaints.add_each(((f"sensors[{k}].D", "is too large: D D' overflows") for k in nodes[bad]), int(bad.sum()))
+        R[D.block_offsets[nodes, None] + np.arange(p * p)] = product.reshape(-1, p * p)
     return R
 
 
-def check_noise(R: Packed, letter: str, complaints: Complaints) -> None:
+def gramian(stack: Float[ndarray, "*K n m"]) -> Float[ndarray, "*K n n"]:
+    """X X' of each matrix, symmetric to the last bit, which a matrix product alone does not promise."""
+    with np.errstate(over="ignore", invalid="ignore"):  # callers look for values that are not finite
+        product = stack @ stack.mT
+        return (product + product.mT) / 2
+
+
+def check_noise(R: Packed, by_factor: ndarray, complaints: Complaints) -> None:
     """Complain about every R_k that is not symmetric positive definite, naming its node."""
+    wrong = 0
     for nodes, _, stack in R.groups():
-        skew = (stack != stack.mT).any(axis=(1, 2))
-        diagonal = np.diagonal(stack, axis1=1, axis2=2)
-        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        unit = stack / scale[:, :, None] / scale[:, None, :]
-        smallest = np.linalg.eigvalsh(unit)[:, 0]
-        weak = (diagonal <= 0).any(axis=1) | (smallest <= stack.shape[-1] * np.finfo(float).eps)
-        for i in np.flatnonzero(skew | weak):
-            key = f"sensors[{nodes[i]}].{letter}"
-            if letter == "D":
-                complaints.add(key, "is singular: R = D D' is not positive definite")
-            elif checks.symmetric(stack[i], key, complaints):
-                checks.positive(stack[i], key, complaints, definite=True)
+        p = stack.shape[-1]
+        bad = (stack != stack.mT).any(axis=(1, 2)) | (np.diagonal(stack, axis1=1, axis2=2) <= 0).any(axis=1)
+        if p > 1:
+            bad |= checks.smallest_scaled_eigenvalue(stack) <= p * np.finfo(float).eps
+        for i in np.flatnonzero(bad):
+            wrong += 1
+            key = f"sensors[{nodes[i]}]"
+            if wrong > checks.MOST_OF_A_KIND:
+                continue
+            if by_factor[nodes[i]]:
+                complaints.add(f"{key}.D", "is singular: R = D D' is not positive definite")
+            elif checks.symmetric(stack[i], f"{key}.R", complaints):
+                checks.positive(stack[i], f"{key}.R", complaints, definite=True)
+    if wrong > checks.MOST_OF_A_KIND:
+        complaints.add("sensors", f"have {wrong - checks.MOST_OF_A_KIND} more matrices R or D that cannot be used")
 
 
 def information(R: Packed, n: int) -> Float[ndarray, "N n n"]:
