@@ -1,0 +1,17 @@
+"""Measure: steady states, error dynamics, performance, observability."""
+
+from tolnet.analysis.detectability import Detectability, detectability
+from tolnet.analysis.divergence import gamma
+from tolnet.analysis.local_tolerance import local_tolerances
+from tolnet.analysis.riccati import solve_riccati
+from tolnet.analysis.steady_state import solve_steady_state, solve_steady_states
+
+__all__ = [
+    "Detectability",
+    "detectability",
+    "gamma",
+    "local_tolerances",
+    "solve_riccati",
+    "solve_steady_state",
+    "solve_steady_states",
+]

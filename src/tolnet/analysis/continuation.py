@@ -1,0 +1,205 @@
+"""From the Kalman filter to the steady state at a tolerance: a search in theta, then a path in c.
+
+Up to the fold, gamma rises with theta along the stabilising branch, and theta is found in a bracket. The search runs
+on phi = s(gamma), where s is the theta lambda of a scalar P with that divergence: for one state and fixed P, phi is
+exactly proportional to theta; in general theta / phi is close to linear in theta, small or large gamma alike, and the
+secant on it needs one to three Riccati solutions. Past the fold theta falls as c rises and the branch of the doubling
+solver is the wrong one: there the path is followed in c, by Newton's method on P = T_c(P)
+(docs/mathematics.md, section 4; docs/decisions/0002-steady-state.md).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from tolnet.analysis import stacked
+from tolnet.analysis.divergence import gamma, inflate, scalar_excess
+from tolnet.analysis.fixed_point import Recursion, newton, step
+from tolnet.analysis.riccati import is_valid, solve_riccati
+
+ACCEPT = 1e-9
+"""Largest relative defect |T_c(P) - P| / |P| of a P that is passed on as a steady state."""
+_NEAR = 0.05  # how close, in phi and log gamma, the search must come before Newton's method takes over
+_MOST_SEARCH = 60
+_SMALLEST_STRIDE = 1e-5  # in log c: where the path in c is taken to end
+_PATH_START = 1e-7  # a tolerance so small that Newton's method gets there from the Kalman filter
+
+
+class FixedPoints(NamedTuple):
+    """P = T_c(P) of a stack, where `found`; the best attempt elsewhere."""
+
+    P: Float[ndarray, "K n n"]
+    found: Bool[ndarray, K]
+    iterations: Int[ndarray, K]
+
+
+def solve_fixed_points(recursion: Recursion) -> FixedPoints:
+    """Solve P = T_c(P) for the steady state that is joined to the Kalman filter's by a path of falling c.
+
+    Assumes (A, Q) stabilisable and (A, S_k) detectable for every member.
+    """
+    kalman = solve_riccati(recursion.A, recursion.Q, recursion.S)
+    usable = is_valid(kalman.P, np.zeros(len(kalman.P)), kalman.residual)
+    iterations = kalman.doublings.copy()
+    P, found = kalman.P.copy(), np.zeros(len(iterations), dtype=bool)
+    start, reached = kalman.P.copy(), np.zeros(len(iterations))
+    todo = np.flatnonzero(usable)
+    if recursion.tau == 0:
+        near = search(recursion.part(todo), kalman.P[todo])
+        start[todo], reached[todo] = near.P, near.reached
+        iterations[todo] += near.doublings
+    polished = newton(recursion.part(todo), start[todo])
+    good = polished.residual <= ACCEPT
+    P[todo[good]], found[todo[good]] = polished.P[good], True
+    iterations[todo] += polished.steps
+    rest = todo[~good]
+    if rest.size:
+        end = follow(recursion.part(rest), start[rest], reached[rest])
+        P[rest[end.found]], found[rest] = end.P[end.found], end.found
+        iterations[rest] += end.iterations
+        rest = rest[~end.found]
+    if rest.size:
+        # The path turned back in c. A steady state exists all the same where every mode is observable: look where
+        # the filter itself goes.
+        orbit = wander(recursion.part(rest), kalman.P[rest])
+        iterations[rest] += orbit.steps
+        for guess in (orbit.centre, orbit.calmest):
+            left = ~found[rest]
+            caught = newton(recursion.part(rest[left]), guess[left])
+            good = caught.residual <= ACCEPT
+            at = rest[left][good]
+            P[at], found[at] = caught.P[good], True
+            iterations[rest[left]] += caught.steps
+    return FixedPoints(P, found, iterations)
+
+
+class Nearby(NamedTuple):
+    """Steady states at fixed theta whose gamma, `reached`, is near the tolerance, or the largest found below it."""
+
+    P: Float[ndarray, "K n n"]
+    reached: Float[ndarray, K]
+    doublings: Int[ndarray, K]
+
+
+def search(recursion: Recursion, kalman: Float[ndarray, "K n n"]) -> Nearby:
+    """Bracketed secant on theta / phi until gamma(P(theta), theta) is near c (tau = 0).
+
+    1.  upper end: gamma(P(theta), theta) >= gamma(P(0), theta), so theta <= the root for the Kalman filter's P
+    2.  phi wanted: phi_c = s(c); phi(theta) = s(gamma(P(theta), theta)); psi(theta) = theta / phi(theta)
+    3.  next theta: where the line through the last two psi meets theta / phi_c; the bracket's middle failing that
+    """
+    A, Q, S, c = recursion.A, recursion.Q, recursion.S, recursion.tolerance
+    K, n = len(S), len(A)
+    P, reached, doublings = kalman.copy(), np.zeros(K), np.zeros(K, dtype=np.int64)
+    with np.errstate(all="ignore"):
+        wanted = _phi(c)
+        low, high = np.zeros(K), inflate(np.linalg.eigvalsh(kalman), c).theta
+        before, psi_before = np.zeros(K), 1.0 / stacked.norm(kalman)
+        theta = np.minimum(wanted * psi_before, high)
+        todo = np.flatnonzero((c > 0) & np.isfinite(high))
+        for _ in range(_MOST_SEARCH):
+            if not todo.size:
+                break
+            at = theta[todo]
+            solution = solve_riccati(A, Q, S[todo] - at[:, None, None] * np.eye(n))
+            doublings[todo] += solution.doublings
+            valid = is_valid(solution.P, at, solution.residual)
+            value = np.where(valid, gamma(np.where(valid[:, None, None], solution.P, 0.0), at), np.inf)
+            phi = _phi(value)
+            near = valid & (np.abs(phi / wanted[todo] - 1) < _NEAR) & (np.abs(np.log(value / c[todo])) < _NEAR**0.5)
+            below = valid & (value < c[todo])
+            keep = near | (below & (value > reached[todo]))
+            P[todo[keep]], reached[todo[keep]] = solution.P[keep], value[keep]
+            low[todo] = np.where(below, np.maximum(low[todo], at), low[todo])
+            high[todo] = np.where(below, high[todo], np.minimum(high[todo], at))
+            psi = at / phi
+            rise = (psi - psi_before[todo]) / (at - before[todo])
+            secant = (psi - rise * at) / (1 / wanted[todo] - rise)
+            inside = valid & (secant > low[todo]) & (secant < high[todo])
+            theta[todo] = np.where(inside, secant, (low[todo] + high[todo]) / 2)
+            before[todo], psi_before[todo] = np.where(valid, (at, psi), (before[todo], psi_before[todo]))
+            todo = todo[~near & (high[todo] - low[todo] > 1e-6 * high[todo])]
+    return Nearby(P, reached, doublings)
+
+
+def _phi(value: Float[ndarray, K]) -> Float[ndarray, K]:
+    """s with gamma(1, s) = value: theta lambda of a scalar; 1 where value is infinite."""
+    mu = scalar_excess(np.where(np.isfinite(value), value, 1.0))
+    return np.where(np.isfinite(value), mu / (1 + mu), 1.0)
+
+
+class PathEnd(NamedTuple):
+    """How far a path in c came: P at `reached`, and whether that is the tolerance."""
+
+    P: Float[ndarray, "K n n"]
+    reached: Float[ndarray, K]
+    found: Bool[ndarray, K]
+    iterations: Int[ndarray, K]
+
+
+def follow(recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndarray, K]) -> PathEnd:
+    """Follow P = T_c(P) in c from P, a steady state at about `reached`, to the tolerance, in strides of log c.
+
+    A stride is doubled where Newton's method converges near its start and quartered where it does not; below
+    the smallest stride the path is taken to have ended.
+    """
+    K = len(P)
+    P, c = P.copy(), recursion.tolerance
+    iterations = np.zeros(K, dtype=np.int64)
+    reached = np.where(reached > 0, reached, np.minimum(_PATH_START, c))
+    corrected = newton(recursion.at(reached), P)
+    started = corrected.residual <= ACCEPT
+    P[started] = corrected.P[started]
+    stride = np.full(K, 1.0)
+    todo = np.flatnonzero(started & (reached < c))
+    while todo.size:
+        with np.errstate(over="ignore"):
+            ahead = np.minimum(reached[todo] * np.exp(stride[todo]), c[todo])
+        attempt = newton(recursion.part(todo).at(ahead), P[todo], most=12)
+        iterations[todo] += attempt.steps
+        # A jump to another branch shows as a P that is far from the last one for so small a stride.
+        moved = stacked.norm(attempt.P - P[todo]) / stacked.norm(P[todo])
+        good = (attempt.residual <= ACCEPT) & (moved <= 2 * stride[todo] + 1e-3)
+        at = todo[good]
+        P[at], reached[at] = attempt.P[good], ahead[good]
+        stride[todo] = np.where(good, np.minimum(stride[todo] * 2, 2.0), stride[todo] / 4)
+        todo = todo[(reached[todo] < c[todo]) & (stride[todo] > _SMALLEST_STRIDE)]
+    return PathEnd(P, reached, started & (reached >= c), iterations)
+
+
+class Orbit(NamedTuple):
+    """Where the recursion goes: the mean of its last half, its most nearly stationary P, and whether it grew away."""
+
+    centre: Float[ndarray, "K n n"]
+    calmest: Float[ndarray, "K n n"]
+    diverges: Bool[ndarray, K]
+    steps: int
+
+
+def wander(recursion: Recursion, P: Float[ndarray, "K n n"], *, steps: int = 600) -> Orbit:
+    """Run the recursion from P. An orbit that circles a steady state has its mean near it.
+
+    `diverges` says that the trace grew a billionfold, or was growing geometrically to the end.
+    """
+    first = np.trace(P, axis1=-2, axis2=-1)
+    centre, calmest, least = np.zeros_like(P), P.copy(), np.full(len(P), np.inf)
+    middle = first
+    with np.errstate(all="ignore"):
+        for t in range(steps):
+            following = step(recursion, P).following
+            defect = stacked.norm(following - P) / stacked.norm(P)
+            calmer = defect < least
+            calmest[calmer], least[calmer] = P[calmer], defect[calmer]
+            P = following
+            if t == steps // 2:
+                middle = np.trace(P, axis1=-2, axis2=-1)
+            if t >= steps // 2:
+                centre = centre + P
+        last = np.trace(P, axis1=-2, axis2=-1)
+        growing = (last > 2 * middle) & (middle > 2 * first)
+        diverges = ~(last <= 1e9 * first) | growing
+    return Orbit(centre / (steps - steps // 2), calmest, diverges, steps)

@@ -1,0 +1,50 @@
+"""Stacked linear algebra in which one bad matrix never spoils the others: it comes back as NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Inexact
+from numpy import ndarray
+
+
+def solve(a: Inexact[ndarray, "K n n"], b: Inexact[ndarray, "K n m"]) -> Inexact[ndarray, "K n m"]:
+    """Solve a x = b for every member of a stack; NaN where a is exactly singular.
+
+    NumPy gives up on the whole stack for one singular member, so a stack that fails is halved until it is alone.
+    """
+    try:
+        return np.linalg.solve(a, b)
+    except np.linalg.LinAlgError:
+        if len(a) == 1:
+            return np.full(b.shape, np.nan)
+        half = len(a) // 2
+        return np.concatenate([solve(a[:half], b[:half]), solve(a[half:], b[half:])])
+
+
+def finite_members(X: Inexact[ndarray, "*K n m"]) -> Bool[ndarray, "*K"]:
+    """Which members have finite entries only."""
+    return np.asarray(np.isfinite(X).all(axis=(-1, -2)))
+
+
+def symmetric_eigen(P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, "K n"], Float[ndarray, "K n n"]]:
+    """Eigenvalues in rising order and orthonormal eigenvectors; NaN eigenvalues where P is not finite."""
+    finite = finite_members(P)
+    eigenvalues, U = np.linalg.eigh(np.where(finite[:, None, None], P, np.eye(P.shape[-1])))
+    return np.where(finite[:, None], eigenvalues, np.nan), U
+
+
+def spectral_radius(F: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K"]:
+    """Largest absolute value of an eigenvalue; NaN where F is not finite."""
+    finite = finite_members(F)
+    values = np.linalg.eigvals(np.where(finite[..., None, None], F, 0.0))
+    return np.where(finite, np.abs(values).max(axis=-1), np.nan)
+
+
+def norm(X: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K"]:
+    """Frobenius norm of every member."""
+    return np.sqrt(np.einsum("...ij,...ij->...", X, X))
+
+
+def symmetric_part(X: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K n n"]:
+    """(X + X') / 2, for products that are symmetric but for rounding."""
+    return (X + X.mT) / 2

@@ -1,0 +1,6 @@
+"""Choose: tolerances, diffusion weights, and what is deployed."""
+
+from tolnet.design.diffusion import diffusion_matrix
+from tolnet.design.tolerances import choose_tolerances
+
+__all__ = ["choose_tolerances", "diffusion_matrix"]
