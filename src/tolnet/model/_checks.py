@@ -44,10 +44,14 @@ class Complaints:
         self.found.extend(others.found)
         self.only_shapes &= others.only_shapes
 
-    def raise_if_any(self, source: str | None = None) -> None:
-        """Raise one InputError (ShapeError where only shapes are wrong) that carries everything found."""
+    def error(self, source: str | None = None) -> InputError:
+        """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
+        return (ShapeError if self.only_shapes else InputError)(self.found, source=source)
+
+    def raise_if_any(self) -> None:
+        """Raise that error, if anything was found."""
         if self.found:
-            raise (ShapeError if self.only_shapes else InputError)(self.found, source=source)
+            raise self.error()
 
 
 def real_array(value: Any, key: str, complaints: Complaints) -> ndarray | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.model._checks import Complaints
+from tolnet.model.errors import InputError
 
 if TYPE_CHECKING:
     import networkx
@@ -29,6 +32,36 @@ def plant_matrices(plant: Any, B: Any, Q: Any, dt: Any, complaints: Complaints) 
         dt = base
     factor = plant.B if B is None and Q is None else B
     return plant.A, factor, dt
+
+
+def read_graphml(data: bytes) -> networkx.Graph:
+    """The graph of a GraphML file, its nodes in the order of the file.
+
+    Raises InputError for what is no GraphML, for a graph without nodes, and for an edge to a node that is not there.
+    """
+    from xml.etree import ElementTree
+
+    import networkx
+
+    malformed = (ElementTree.ParseError, networkx.NetworkXException, *_MALFORMED)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about attributes of no type and ports, of which nothing is read here
+            graph = networkx.read_graphml(io.BytesIO(data))
+        elements = ElementTree.fromstring(data).iter()
+        declared = {element.get("id") for element in elements if str(element.tag).endswith("}node")}
+    except malformed as error:
+        raise InputError(f"is no GraphML: {error or type(error).__name__}") from None
+    strangers = [node for node in graph if node not in declared]
+    if strangers:
+        raise InputError(f"has an edge to the node {strangers[0]!r}, which it does not have")
+    if not len(graph):
+        raise InputError("has no nodes")
+    return graph
+
+
+_MALFORMED = (AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What networkx raises on bytes that are no GraphML: it looks into elements without asking whether they are there."""
 
 
 def links_of_graph(graph: networkx.Graph) -> Int[ndarray, "E 2"]:

@@ -160,6 +160,22 @@ def parse_diffusion(diffusion: Any, adjacency: sparse.csr_array, complaints: Com
     return read_only(W)
 
 
+def weights_of_triples(triples: ndarray, N: int, key: str, complaints: Complaints) -> sparse.csr_array | None:
+    """W from an M x 3 array with one row `l, k, w` for each weight; None, with a complaint, if it is not that."""
+    if triples.ndim != 2 or triples.shape[1] != 3 or triples.dtype.kind not in "iuf":
+        complaints.add(key, "is no M x 3 array of numbers, a row `l, k, weight` for each")
+        return None
+    places = triples[:, :2]
+    if not ((places >= 0) & (places < N) & (places == np.floor(places))).all():
+        complaints.add(key, f"has a place that is no node; nodes are numbered from 0 to {N - 1}")
+        return None
+    l, k = places.T.astype(np.int64)
+    if len(np.unique(l * N + k)) < len(triples):
+        complaints.add(key, "gives a weight twice")
+        return None
+    return sparse.csr_array(sparse.coo_array((triples[:, 2].astype(float), (l, k)), shape=(N, N)))
+
+
 def _check_weights(W: sparse.csr_array, adjacency: sparse.csr_array, key: str, complaints: Complaints) -> None:
     """Complain about weights that are no numbers >= 0, that weigh a stranger, or whose columns do not sum to one."""
     own = W.tocoo()

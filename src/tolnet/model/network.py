@@ -138,6 +138,11 @@ class SensorNetwork:
         """C, the offsets and R as one packed value."""
         return Packed(self.C, self.rows, self.R)
 
+    @cached_property
+    def factors(self) -> Packed | None:
+        """C, the offsets and D; None where every node gave R. The block of a node that gave R is zero."""
+        return None if self.D is None else Packed(self.C, self.rows, self.D)
+
     def sensor(self, k: int) -> tuple[Float[ndarray, "p n"], Float[ndarray, "p p"]]:
         """C_k and R_k of one node. Raises IndexError for a node that does not exist."""
         if not -self.N <= k < self.N:

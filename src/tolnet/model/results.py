@@ -73,12 +73,12 @@ class SteadyState(_ReadOnly):
     @property
     def trace_P(self) -> Float[ndarray, "*K"]:
         """Trace of P: the nominal prediction error variance."""
-        return np.trace(self.P, axis1=-2, axis2=-1)
+        return np.asarray(np.trace(self.P, axis1=-2, axis2=-1))
 
     @property
     def trace_V(self) -> Float[ndarray, "*K"]:
         """Trace of V: the prediction error variance under the least favourable model of one step."""
-        return np.trace(self.V, axis1=-2, axis2=-1)
+        return np.asarray(np.trace(self.V, axis1=-2, axis2=-1))
 
     @cached_property
     def filtered(self) -> Float[ndarray, "*K n n"]:
@@ -98,8 +98,9 @@ class SteadyState(_ReadOnly):
     def __getitem__(self, k: int | slice | ndarray) -> SteadyState:
         """Part of a stack, as a SteadyState of its own."""
         shared = {"A", "Q", "tau"}
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return SteadyState(**{name: v if name in shared else np.asarray(v[k]) for name, v in values.items()})
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        part: dict[str, Any] = {name: v if name in shared else np.asarray(v[k]) for name, v in values.items()}
+        return SteadyState(**part)
 
     def __len__(self) -> int:
         return len(self.theta)

@@ -122,7 +122,9 @@ def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[nda
     whole = given.dtype.kind in "iu" and given.ndim == 1 and given.size >= 2
     # Compared before any conversion: an offset beyond int64 is out of range as it stands.
     if not whole or given[0] != 0 or given[-1] != len(C) or (given[1:] < given[:-1]).any():
-        complaints.add("rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C")
+        complaints.add(
+            "sensors.rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C"
+        )
         return None
     return C, given.astype(np.int64)
 

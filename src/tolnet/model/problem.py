@@ -1,0 +1,248 @@
+"""The problem file, version 1, as pydantic models: its keys, their types, and what is said about a wrong one.
+
+Only the form is judged here; whether matrices fit each other is for `SensorNetwork` to say.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+
+from tolnet.model._checks import nearest, shown
+from tolnet.model.ambiguity import Convention
+from tolnet.model.errors import Complaint
+from tolnet.model.graph import DIFFUSION_RULES
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=False)
+
+
+class ArrayReference(_Table):
+    """An array kept in the side archive that the top-level key `arrays` names."""
+
+    array: str = Field(description="name of an array in the archive")
+
+
+class TripleReference(_Table):
+    """A sparse matrix kept in the side archive, one row `l, k, value` for each entry."""
+
+    triples: str = Field(description="name of an M x 3 array in the archive")
+
+
+def _kind(value: Any) -> str:
+    """Which form of a matrix is meant: a table refers to the archive, everything else is to be a list."""
+    if isinstance(value, dict):
+        return "*triples*" if "triples" in value else "*array*"
+    return "*list*"
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Index = Annotated[int, Field(strict=True, ge=0)]
+_Reference = Annotated[ArrayReference, Tag("*array*")]
+Vector = Annotated[Annotated[list[Number], Tag("*list*")] | _Reference, Discriminator(_kind)]
+Matrix = Annotated[Annotated[list[list[Number]], Tag("*list*")] | _Reference, Discriminator(_kind)]
+Labels = Annotated[Annotated[list[str], Tag("*list*")] | _Reference, Discriminator(_kind)]
+Weights = Annotated[
+    Annotated[list[list[Number]], Tag("*list*")] | _Reference | Annotated[TripleReference, Tag("*triples*")],
+    Discriminator(_kind),
+]
+Edges = Annotated[
+    Annotated[list[Annotated[list[Index], Field(min_length=2, max_length=2)]], Tag("*list*")] | _Reference,
+    Discriminator(_kind),
+]
+
+
+def _one_of(*keys: str) -> dict[str, Any]:
+    """What JSON Schema says for `exactly one of these keys`."""
+    return {"oneOf": [{"required": [key]} for key in keys]}
+
+
+def _at_most_one_of(*keys: str) -> dict[str, Any]:
+    return {"not": {"required": list(keys)}}
+
+
+class Plant(_Table):
+    """x+ = A x + B w + r, w ~ N(0, I)."""
+
+    model_config = ConfigDict(json_schema_extra=_one_of("B", "Q"))
+
+    A: Matrix = Field(description="state matrix, n x n")
+    B: Matrix | None = Field(None, description="factor of the process noise, n x m; exactly one of B and Q")
+    Q: Matrix | None = Field(None, description="covariance of the process noise, n x n, Q = B B'")
+    input: Vector | None = Field(None, description="known constant input r, n numbers")
+    initial_mean: Vector | None = Field(None, description="mean of the first state, n numbers; 0 if left out")
+    initial_covariance: Matrix | None = Field(None, description="its covariance, n x n; I if left out")
+    states: list[str] | None = Field(None, description="labels of the states, n texts")
+    dt: Number | None = Field(None, gt=0, description="sampling time in seconds; nothing is computed from it")
+
+
+class Network(_Table):
+    """Who hears whom. Every node hears itself."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": ["nodes"]}, {"required": ["graphml"]}],
+            **_at_most_one_of("edges", "graphml"),
+        }
+    )
+
+    nodes: Index | None = Field(None, ge=1, description="number of nodes; may be left out beside graphml")
+    edges: Edges | None = Field(None, description="links as pairs of node indices from 0; [from, to] where directed")
+    graphml: str | None = Field(None, description="path of a GraphML file, from the problem file's folder")
+    directed: bool | None = Field(None, description="whether links work one way only; false if left out")
+    positions: Matrix | None = Field(None, description="a point for each node, N x 2 or N x 3, for maps")
+    names: Labels | None = Field(None, description="names of the nodes, N texts")
+
+
+class Sensor(_Table):
+    """y = C x + D v of one node, v ~ N(0, I)."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": ["R"]}, {"required": ["D"]}, {"properties": {"C": {"const": []}}}],
+            **_at_most_one_of("R", "D"),
+        }
+    )
+
+    C: Matrix = Field(description="observation matrix, p x n; [] for a relay without a sensor")
+    R: Matrix | None = Field(None, description="covariance of the measurement noise, p x p; exactly one of R and D")
+    D: Matrix | None = Field(None, description="factor of the measurement noise, p x p, R = D D'")
+
+
+class AmbiguityTable(_Table):
+    """How wrong the model may be: a ball around its transition density."""
+
+    tolerance: Number = Field(ge=0, description="radius c of the ball; 0 gives the Kalman filter")
+    convention: Convention = Field("gamma", description="scale of the tolerance: gamma = 2 nats")
+    tau: Number = Field(0.0, ge=0, le=1, description="member of the tau-divergence family; 0 is Kullback-Leibler")
+
+
+class Diffusion(_Table):
+    """How a node mixes the estimates that it hears: x_k = sum_l w[l][k] psi_l."""
+
+    model_config = ConfigDict(json_schema_extra=_at_most_one_of("rule", "weights"))
+
+    rule: str | None = Field(
+        None, description="rule that gives the weights", json_schema_extra={"enum": list(DIFFUSION_RULES)}
+    )
+    weights: Weights | None = Field(
+        None, description="W, N x N: [l][k] weighs neighbour l at node k, columns sum to 1"
+    )
+
+
+class Problem(_Table):
+    """A plant, the sensors that watch it, and the graph over which they talk."""
+
+    model_config = ConfigDict(title="tolnet.problem/1")
+
+    schema_: Literal["tolnet.problem/1"] = Field(alias="schema", description="version of this format")
+    name: str = Field("", description="name of the problem")
+    description: str = Field("", description="what it is about")
+    arrays: str | None = Field(None, description="path of the side archive (.npz), from the problem file's folder")
+    plant: Plant = Field(description="the table [plant]")
+    network: Network = Field(description="the table [network]")
+    sensors: list[Sensor] | None = Field(None, description="one table [[sensors]] a node, in node order")
+    ambiguity: AmbiguityTable | None = Field(None, description="the table [ambiguity]")
+    diffusion: Diffusion | None = Field(None, description="the table [diffusion]; relative-degree if left out")
+
+
+_TABLES: dict[str, type[_Table]] = {
+    "plant": Plant,
+    "network": Network,
+    "sensors": Sensor,
+    "ambiguity": AmbiguityTable,
+    "diffusion": Diffusion,
+}
+_FORMS = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "string_type": "a text",
+    "string_unicode": "a text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "dict_type": "a table",
+    "too_short": "a pair",
+    "too_long": "a pair",
+}
+
+
+def problem_schema() -> dict[str, Any]:
+    """The JSON Schema of the problem file, generated from the models above."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Problem.model_json_schema(by_alias=True),
+    }
+
+
+def complaints_about_form(mapping: dict[Any, Any]) -> list[tuple[str, Complaint]]:
+    """What is wrong with the keys and types of a problem file, each with the key of the value to blame.
+
+    Several entries of one matrix that are wrong in the same way make one complaint.
+    """
+    try:
+        Problem.model_validate(mapping)
+    except ValidationError as error:
+        return list(_translated(error.errors(include_url=False)))
+    return []
+
+
+def _translated(errors: Iterable[Any]) -> Iterator[tuple[str, Complaint]]:
+    first: dict[tuple[Any, ...], Any] = {}
+    count: dict[tuple[Any, ...], int] = {}
+    for error in errors:
+        place = tuple(x for x in error["loc"] if not (isinstance(x, str) and re.fullmatch(r"\*\w+\*", x)))
+        base = place
+        while isinstance(base[-1], int) and len(base) > 2:
+            base = base[:-1]
+        kind = (*base, error["type"])
+        first.setdefault(kind, (place, base, error))
+        count[kind] = count.get(kind, 0) + 1
+    for kind, (place, base, error) in first.items():
+        others = count[kind] - 1
+        more = f" (and so for {others} more of its entries)" if others else ""
+        yield _path(base), Complaint(_path(place), _message(place, error) + more)
+
+
+def _message(place: tuple[Any, ...], error: Any) -> str:
+    table, last = _TABLES.get(place[0], Problem) if len(place) > 1 else Problem, place[len(place) - 1]
+    known = {field.alias or name: field for name, field in table.model_fields.items()}
+    kind, value, bounds = error["type"], error["input"], error.get("ctx", {})
+    if kind == "extra_forbidden":
+        siblings = _siblings(place, known)
+        return f"is no known key; the nearest is {nearest(str(last), siblings)!r}"
+    if kind == "invalid_key":
+        return "is no text; keys are text"
+    if kind == "missing":
+        meant = known[last].description if last in known else None
+        return "is missing" + (f": {meant}" if meant else "")
+    if kind == "literal_error":
+        return f"is {shown(value)}; {bounds['expected']} was expected"
+    if kind in ("greater_than", "greater_than_equal", "less_than_equal"):
+        limit = {"greater_than": "> {gt}", "greater_than_equal": ">= {ge}", "less_than_equal": "<= {le}"}[kind]
+        return f"is {shown(value)}; a number {limit.format(**bounds)} was expected"
+    return f"is {shown(value)}; {_FORMS.get(kind, 'something else')} was expected"
+
+
+def _siblings(place: tuple[Any, ...], known: dict[str, Any]) -> list[str]:
+    """The keys that are known where an unknown one stands: those of its table, or of a reference to the archive."""
+    depth = sum(isinstance(x, str) for x in place)
+    return list(known) if depth <= 2 else ["array", *(["triples"] if "weights" in place else [])]
+
+
+def _path(place: tuple[Any, ...]) -> str:
+    """A key path such as `sensors[3].R`."""
+    path = ""
+    for x in place:
+        if isinstance(x, int):
+            path += f"[{x}]"
+        else:
+            bare = x if re.fullmatch(r"[\w-]+", x) else repr(x)
+            path += f".{bare}" if path else bare
+    return path

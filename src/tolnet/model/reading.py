@@ -1,0 +1,300 @@
+"""Reading problem files: everything is judged before anything is computed, and every complaint comes at once."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from numpy import ndarray
+
+from tolnet.model._checks import Complaints, nearest, shown
+from tolnet.model.ambiguity import Ambiguity
+from tolnet.model.archive import read_archive
+from tolnet.model.errors import Complaint, InputError, ShapeError
+from tolnet.model.graph import DIFFUSION_RULES, weights_of_triples
+from tolnet.model.network import SensorNetwork
+
+PACKED = ("C", "R", "D", "rows", "edges")
+"""Arrays of a side archive that stand, without a reference, for the `[[sensors]]` tables and the list of links."""
+
+_ORDER = ("schema", "name", "description", "arrays", "plant", "network", "sensors", "ambiguity", "diffusion")
+
+
+def load(path: str | Path) -> SensorNetwork:
+    """The network that a problem file (TOML, version 1) describes, with its side archive and GraphML file.
+
+    `digest` is the SHA-256 of the bytes of the problem file followed by those of the files that it names.
+    Raises InputError, which names the file and carries every complaint with its key path, for a file that is
+    missing, empty, malformed, or describes no network. Source: docs/problem-file.md.
+    """
+    source = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(_unreadable(error), source=source) from None
+    return _Reader(_mapping(data, source), Path(path).parent, data, source).network()
+
+
+def validate(path: str | Path) -> list[Complaint]:
+    """Every complaint about a problem file; none where `load` succeeds."""
+    try:
+        load(path)
+    except InputError as error:
+        return list(error.complaints)
+    return []
+
+
+def parse(mapping: Mapping[str, Any], folder: str | Path = ".") -> SensorNetwork:
+    """The network that the content of a problem file describes; paths in it start from `folder`.
+
+    Raises InputError with every complaint. `digest` is None: there were no bytes of a file.
+    """
+    return _Reader(mapping, Path(folder)).network()
+
+
+def parse_text(data: bytes, source: str) -> SensorNetwork:
+    """`load` for a problem file whose bytes are at hand and that refers to no other file."""
+    return _Reader(_mapping(data, source), Path(), data, source).network()
+
+
+def _unreadable(error: OSError | ValueError) -> str:
+    if isinstance(error, IsADirectoryError):
+        return "is a directory; a file was expected"
+    if isinstance(error, FileNotFoundError):
+        return "does not exist"
+    return f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
+
+
+def _mapping(data: bytes, source: str) -> dict[str, Any]:
+    if not data.strip():
+        raise InputError("is empty; a problem file was expected", source=source)
+    try:
+        return tomllib.loads(data.decode())
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"is no text: line {line} holds bytes that are not UTF-8", source=source) from None
+    except RecursionError:
+        raise InputError("is nested too deeply to be read", source=source) from None
+    except ValueError as error:  # TOMLDecodeError, with its line; or an integer of thousands of digits
+        raise InputError(f"is not TOML: {error}", source=source) from None
+
+
+class _Reader:
+    """One problem file on its way to a network.
+
+    Form (keys and types) is judged by the pydantic models. What has the right form, and what has not, goes on to
+    `SensorNetwork`, whose complaints are dropped where the form was blamed already: so each fault is told once.
+    """
+
+    def __init__(
+        self, mapping: Mapping[str, Any], folder: Path, data: bytes | None = None, source: str | None = None
+    ) -> None:
+        from tolnet.model.problem import complaints_about_form  # imported late: pydantic takes its time
+
+        if not isinstance(mapping, Mapping):
+            raise InputError(f"is {shown(mapping)}; a table was expected", source=source)
+        self.content, self.folder, self.source = dict(mapping), folder, source
+        self.hash = None if data is None else hashlib.sha256(data)
+        self.complaints = Complaints()
+        self.blamed: set[str] = set()
+        for key, complaint in complaints_about_form(self.content):
+            self.blame(key, complaint.message, at=complaint.key)
+        self.archive: dict[str, ndarray] = {}
+        self.used: set[str] = set()
+
+    def blame(self, key: str, message: str, at: str | None = None) -> None:
+        """Complain about a key, once; `at` points into its value."""
+        self.blamed.add(key)
+        self.complaints.add(key if at is None else at, message)
+
+    def network(self) -> SensorNetwork:
+        """Build the network, or raise with everything that is wrong."""
+        self.open_archive()
+        arguments = self.plant() | self.sensors()
+        N = _count(arguments)
+        arguments |= self.graph(N) | self.diffusion(N) | self.texts() | {"ambiguity": self.ambiguity()}
+        for name in sorted(set(self.archive) - self.used):
+            self.blame(
+                "arrays",
+                f"holds {name!r}, which nothing refers to; the nearest of the names read without"
+                f" a reference is {nearest(name, PACKED)!r}",
+            )
+        try:
+            network = SensorNetwork(**arguments, digest=self.hash.hexdigest() if self.hash else None)
+        except InputError as error:
+            new = [complaint for complaint in error.complaints if not self.told(complaint.key)]
+            self.complaints.found.extend(new)
+            self.complaints.only_shapes &= not new or isinstance(error, ShapeError)
+        else:
+            if not self.complaints.found:
+                return network
+        self.complaints.found.sort(key=_place)
+        raise self.complaints.error(self.source)
+
+    def told(self, key: str) -> bool:
+        """Whether the value at `key`, or one that holds it, was blamed before."""
+        return any(key == old or key.startswith((f"{old}.", f"{old}[")) for old in self.blamed)
+
+    def side_file(self, key: str, name: str) -> bytes | None:
+        """The bytes of a file that the problem file names; they count for the digest."""
+        try:
+            data = (self.folder / name).read_bytes()
+        except (OSError, ValueError) as error:
+            self.blame(key, f"names {name!r}, which {_unreadable(error)}")
+            return None
+        if self.hash:
+            self.hash.update(data)
+        return data
+
+    def open_archive(self) -> None:
+        """Read the side archive. Without it nothing else can be judged, so a bad one ends the reading."""
+        name = self.content.get("arrays")
+        if not isinstance(name, str):
+            return
+        data = self.side_file("arrays", name)
+        if data is not None:
+            try:
+                self.archive = read_archive(data)
+            except InputError as error:
+                self.blame("arrays", f"names {name!r}, which {error}")
+        if "arrays" in self.blamed:
+            raise self.complaints.error(self.source)
+
+    def table(self, key: str) -> dict[str, Any]:
+        """A table of the file; empty where there is none."""
+        value = self.content.get(key)
+        return value if isinstance(value, dict) else {}
+
+    def plain(self, table: str, key: str, default: Any = None) -> Any:
+        """A value that is no array, or the default where its form is wrong."""
+        path = f"{table}.{key}" if table else key
+        source = self.table(table) if table else self.content
+        return default if self.told(path) else source.get(key, default)
+
+    def resolved(self, value: Any, key: str) -> Any:
+        """A value, or the array of the archive that it refers to."""
+        name = value.get("array", value.get("triples")) if isinstance(value, dict) else None
+        if not isinstance(name, str) or self.told(key):
+            return value
+        if name not in self.archive:
+            hint = f"; the nearest is {nearest(name, self.archive)!r}" if self.archive else ""
+            self.blame(key, f"refers to {name!r}, which {self.archive_name} does not hold{hint}")
+            return value
+        self.used.add(name)
+        return self.archive[name]
+
+    @property
+    def archive_name(self) -> str:
+        name = self.content.get("arrays")
+        return repr(name) if isinstance(name, str) else "no archive (key `arrays`)"
+
+    def packed(self, name: str) -> ndarray | None:
+        """An array of the archive that needs no reference."""
+        self.used.add(name)
+        return self.archive.get(name)
+
+    def plant(self) -> dict[str, Any]:
+        """A, B, Q, what is known of the input and the first state, and labels."""
+        table = self.table("plant")
+        arrays = ("A", "B", "Q", "input", "initial_mean", "initial_covariance")
+        values = {key: self.resolved(table.get(key), f"plant.{key}") for key in arrays}
+        return values | {key: self.plain("plant", key) for key in ("states", "dt")}
+
+    def sensors(self) -> dict[str, Any]:
+        """C, R and D from the tables, one a node, or else packed in the archive."""
+        tables = self.content.get("sensors")
+        if isinstance(tables, list):
+            tables = [table if isinstance(table, dict) else {} for table in tables]
+            return {
+                letter: [self.resolved(table.get(letter), f"sensors[{k}].{letter}") for k, table in enumerate(tables)]
+                for letter in ("C", "R", "D")
+            }
+        if "C" not in self.archive:
+            self.blame("sensors", "is missing: one table [[sensors]] a node, or C and R in an archive, were expected")
+        return {key: self.packed(key) for key in ("C", "R", "D", "rows")}
+
+    def graph(self, N: int | None) -> dict[str, Any]:
+        """The links from whichever of the three places has them, and what hangs on the nodes."""
+        table, graph = self.table("network"), None
+        nodes, directed, graphml = (self.plain("network", key) for key in ("nodes", "directed", "graphml"))
+        edges = self.resolved(table.get("edges"), "network.edges") if "edges" in table else None
+        if graphml is not None and edges is not None:
+            self.blame("network", "has both edges and graphml; exactly one was expected")
+        elif graphml is not None:
+            graph = self.graphml(graphml)
+            if graph is not None and directed not in (None, graph.is_directed()):
+                self.blame("network.directed", f"is {shown(directed)}; {graphml!r} says the contrary")
+        elif edges is None and "edges" in self.archive:
+            edges = self.packed("edges")
+        if nodes is None and graphml is None and not self.told("network.nodes"):
+            self.blame("network.nodes", "is missing: number of nodes")
+        if nodes is not None and N is not None and nodes != N:
+            self.complaints.add("network.nodes", f"is {shown(nodes)}; there are {N} sensors", shape=True)
+        names = self.resolved(table.get("names"), "network.names")
+        return {
+            "adjacency": graph,
+            "edges": edges,
+            "directed": bool(directed),
+            "positions": self.resolved(table.get("positions"), "network.positions"),
+            "names": None if self.told("network.names") else names,
+        }
+
+    def graphml(self, name: str) -> Any:
+        """The networkx graph of a GraphML file."""
+        from tolnet.model.convert import read_graphml
+
+        data = self.side_file("network.graphml", name)
+        if data is None:
+            return None
+        try:
+            return read_graphml(data)
+        except InputError as error:
+            self.blame("network.graphml", f"names {name!r}, which {error}")
+            return None
+
+    def diffusion(self, N: int | None) -> dict[str, Any]:
+        """The rule, or W itself."""
+        table, key = self.table("diffusion"), "diffusion.weights"
+        if "weights" not in table:
+            return {"diffusion": self.plain("diffusion", "rule", DIFFUSION_RULES[0])}
+        if "rule" in table:
+            self.blame("diffusion", "has both rule and weights; exactly one was expected")
+        weights = self.resolved(table["weights"], key)
+        if isinstance(weights, ndarray) and "triples" in table["weights"]:
+            weights = None if N is None else weights_of_triples(weights, N, key, self.complaints)
+            if weights is None:
+                self.blamed.add(key)
+        return {"diffusion": weights}
+
+    def texts(self) -> dict[str, Any]:
+        """Name and description."""
+        return {key: self.plain("", key, "") for key in ("name", "description")}
+
+    def ambiguity(self) -> Ambiguity | None:
+        """The ball, where the file has one and its form is right."""
+        table = self.table("ambiguity")
+        if not table or any(old.partition(".")[0] == "ambiguity" for old in self.blamed):
+            return None
+        try:
+            return Ambiguity(**table)
+        except InputError as error:
+            for complaint in error.complaints:
+                self.blame(complaint.key, complaint.message)
+            return None
+
+
+def _count(arguments: dict[str, Any]) -> int | None:
+    """How many sensors there are, as far as that can be told before they are judged."""
+    C, rows = arguments["C"], arguments.get("rows")
+    if isinstance(rows, ndarray):
+        return len(rows) - 1 if rows.ndim == 1 else None
+    return len(C) if isinstance(C, list) or (isinstance(C, ndarray) and C.ndim == 3) else None
+
+
+def _place(complaint: Complaint) -> int:
+    """Where in the file a complaint belongs: tables in their usual order, what is unknown first."""
+    top = complaint.key.partition(".")[0].partition("[")[0]
+    return _ORDER.index(top) if top in _ORDER else -1
