@@ -2,6 +2,7 @@
 
 from tolnet.analysis.detectability import Detectability, detectability
 from tolnet.analysis.divergence import gamma
+from tolnet.analysis.limits import published_bound, tolerance_limits
 from tolnet.analysis.local_tolerance import local_tolerances
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.analysis.steady_state import solve_steady_state, solve_steady_states
@@ -11,7 +12,9 @@ __all__ = [
     "detectability",
     "gamma",
     "local_tolerances",
+    "published_bound",
     "solve_riccati",
     "solve_steady_state",
     "solve_steady_states",
+    "tolerance_limits",
 ]

@@ -33,8 +33,8 @@ class FixedPoints(NamedTuple):
     """P = T_c(P) of a stack, where `found`; the best attempt elsewhere."""
 
     P: Float[ndarray, "K n n"]
-    found: Bool[ndarray, K]
-    iterations: Int[ndarray, K]
+    found: Bool[ndarray, " K"]
+    iterations: Int[ndarray, " K"]
 
 
 def solve_fixed_points(recursion: Recursion) -> FixedPoints:
@@ -81,8 +81,8 @@ class Nearby(NamedTuple):
     """Steady states at fixed theta whose gamma, `reached`, is near the tolerance, or the largest found below it."""
 
     P: Float[ndarray, "K n n"]
-    reached: Float[ndarray, K]
-    doublings: Int[ndarray, K]
+    reached: Float[ndarray, " K"]
+    doublings: Int[ndarray, " K"]
 
 
 def search(recursion: Recursion, kalman: Float[ndarray, "K n n"]) -> Nearby:
@@ -126,7 +126,7 @@ def search(recursion: Recursion, kalman: Float[ndarray, "K n n"]) -> Nearby:
     return Nearby(P, reached, doublings)
 
 
-def _phi(value: Float[ndarray, K]) -> Float[ndarray, K]:
+def _phi(value: Float[ndarray, " K"]) -> Float[ndarray, " K"]:
     """s with gamma(1, s) = value: theta lambda of a scalar; 1 where value is infinite."""
     mu = scalar_excess(np.where(np.isfinite(value), value, 1.0))
     return np.where(np.isfinite(value), mu / (1 + mu), 1.0)
@@ -136,12 +136,12 @@ class PathEnd(NamedTuple):
     """How far a path in c came: P at `reached`, and whether that is the tolerance."""
 
     P: Float[ndarray, "K n n"]
-    reached: Float[ndarray, K]
-    found: Bool[ndarray, K]
-    iterations: Int[ndarray, K]
+    reached: Float[ndarray, " K"]
+    found: Bool[ndarray, " K"]
+    iterations: Int[ndarray, " K"]
 
 
-def follow(recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndarray, K]) -> PathEnd:
+def follow(recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndarray, " K"]) -> PathEnd:
     """Follow P = T_c(P) in c from P, a steady state at about `reached`, to the tolerance, in strides of log c.
 
     A stride is doubled where Newton's method converges near its start and quartered where it does not; below
@@ -176,7 +176,7 @@ class Orbit(NamedTuple):
 
     centre: Float[ndarray, "K n n"]
     calmest: Float[ndarray, "K n n"]
-    diverges: Bool[ndarray, K]
+    diverges: Bool[ndarray, " K"]
     steps: int
 
 

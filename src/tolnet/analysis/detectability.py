@@ -50,13 +50,13 @@ class Detectability:
     """
 
     modes: tuple[Mode, ...]
-    undriven: Bool[ndarray, m]
+    undriven: Bool[ndarray, " m"]
     """Modes with a direction that the process noise does not reach."""
     unseen: Bool[ndarray, "N m"]
-    centre_unseen: Bool[ndarray, m]
+    centre_unseen: Bool[ndarray, " m"]
 
     @property
-    def unstable(self) -> Bool[ndarray, m]:
+    def unstable(self) -> Bool[ndarray, " m"]:
         """Modes on or outside the unit circle."""
         return np.array([mode.modulus >= 1 - _MARGIN for mode in self.modes], dtype=bool)
 
@@ -66,7 +66,7 @@ class Detectability:
         return not (self.undriven & self.unstable).any()
 
     @property
-    def detectable(self) -> Bool[ndarray, N]:
+    def detectable(self) -> Bool[ndarray, " N"]:
         """Nodes that see every mode that does not decay."""
         return np.asarray(~(self.unseen & self.unstable).any(axis=1))
 
@@ -76,7 +76,7 @@ class Detectability:
         return not (self.centre_unseen & self.unstable).any()
 
     @property
-    def observable(self) -> Bool[ndarray, N]:
+    def observable(self) -> Bool[ndarray, " N"]:
         """Nodes that see every mode."""
         return np.asarray(~self.unseen.any(axis=1))
 
@@ -163,14 +163,14 @@ def _gramians(network: SensorNetwork, E: ndarray) -> tuple[ndarray, Float[ndarra
         rounding = np.abs(C) @ np.abs(E)
         Y = C @ E
         Y = np.where(np.abs(Y) ** 2 <= _UNSEEN * rounding**2, 0.0, Y)
-        L_Y = whiten(C=np.concatenate([Y.real, Y.imag, rounding], axis=-1), R=R)
-        W = L_Y[..., :m] + 1j * L_Y[..., m : 2 * m]
+        L_Y = whiten(C=np.concatenate([np.real(Y), np.imag(Y), rounding], axis=-1), R=R)
+        W: ndarray = L_Y[..., :m] + 1j * L_Y[..., m : 2 * m]
         own[nodes] = W.conj().mT @ W
         size[nodes] = (L_Y[..., 2 * m :] ** 2).sum(axis=-2)
     return own, size
 
 
-def _is_singular(gramian: ndarray, size: Float[ndarray, "K m"]) -> Bool[ndarray, K]:
+def _is_singular(gramian: ndarray, size: Float[ndarray, "K m"]) -> Bool[ndarray, " K"]:
     diagonal = np.real(np.einsum("kii->ki", gramian))
     blind = (diagonal <= _UNSEEN * size) | (diagonal == 0)
     root = np.sqrt(np.where(blind, 1.0, diagonal))
@@ -179,7 +179,7 @@ def _is_singular(gramian: ndarray, size: Float[ndarray, "K m"]) -> Bool[ndarray,
 
 
 def _is_undriven(Q: ndarray, mode: Mode) -> bool:
-    E = mode.basis
+    E: ndarray = mode.basis
     push = E.conj().T @ Q @ E
     size = np.einsum("im,ij,jm->m", np.abs(E), np.abs(Q), np.abs(E))
     diagonal = np.real(np.diag(push))

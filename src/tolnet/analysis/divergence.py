@@ -2,7 +2,8 @@
 
 The unknown is never theta. With lambda_1 the largest eigenvalue of P, every quantity is a function of the excess
 mu_1 = v_1 / lambda_1 - 1 by which the largest eigenvalue of V exceeds that of P, free of cancellation at both ends:
-theta lambda_1 -> 0 (mu_1 -> 0) and theta lambda_1 -> 1 (mu_1 -> infinity), where 1 - theta lambda_1 has lost its digits.
+theta lambda_1 -> 0 (mu_1 -> 0) and theta lambda_1 -> 1 (mu_1 -> infinity), where 1 - theta lambda_1
+has lost its digits.
 
     1.  s_i = theta lambda_i,  1 + mu_i = v_i / lambda_i = (1 - (1 - tau) s_i)^(-1 / (1 - tau)),  e^(s_i) at tau = 1
     2.  gamma_tau = sum_i d_tau(log(1 + mu_i)),  d_tau(L) = (tau (e^L - 1) - (e^(tau L) - 1)) / (tau (1 - tau))

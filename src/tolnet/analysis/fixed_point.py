@@ -34,14 +34,14 @@ class Recursion:
     A: Float[ndarray, "n n"]
     Q: Float[ndarray, "n n"]
     S: Float[ndarray, "K n n"]
-    tolerance: Float[ndarray, K]
+    tolerance: Float[ndarray, " K"]
     tau: float = 0.0
 
     def part(self, index: ndarray) -> Recursion:
         """The members at `index`."""
         return Recursion(self.A, self.Q, self.S[index], self.tolerance[index], self.tau)
 
-    def at(self, tolerance: Float[ndarray, K]) -> Recursion:
+    def at(self, tolerance: Float[ndarray, " K"]) -> Recursion:
         """The same recursions at other tolerances."""
         return Recursion(self.A, self.Q, self.S, tolerance, self.tau)
 
@@ -52,7 +52,7 @@ class Step(NamedTuple):
     following: Float[ndarray, "K n n"]
     eigenvalues: Float[ndarray, "K n"]
     U: Float[ndarray, "K n n"]
-    theta: Float[ndarray, K]
+    theta: Float[ndarray, " K"]
     excess: Float[ndarray, "K n"]
     AZ: Float[ndarray, "K n n"]
     """A Z U: maps the eigenbasis into the state."""
@@ -186,8 +186,8 @@ class Converged(NamedTuple):
     """Where Newton's method ended: the best P seen, its defect |T_c(P) - P| / |P|, and the steps taken."""
 
     P: Float[ndarray, "K n n"]
-    residual: Float[ndarray, K]
-    steps: Int[ndarray, K]
+    residual: Float[ndarray, " K"]
+    steps: Int[ndarray, " K"]
 
 
 def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) -> Converged:
@@ -224,7 +224,7 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
     return Converged(best, residual, steps)
 
 
-def attraction(slope: Derivative) -> Float[ndarray, K]:
+def attraction(slope: Derivative) -> Float[ndarray, " K"]:
     """Spectral radius of the derivative of the covariance recursion: below 1, the filter settles.
 
     The derivative of V_t -> V_{t+1} and that of P_t -> P_{t+1} have the same non-zero eigenvalues.
@@ -240,7 +240,7 @@ def attraction(slope: Derivative) -> Float[ndarray, K]:
     return stacked.spectral_radius(slope.matrix())
 
 
-def _arnoldi_radius(slope: Derivative, order: int) -> tuple[Float[ndarray, K], Float[ndarray, K]]:
+def _arnoldi_radius(slope: Derivative, order: int) -> tuple[Float[ndarray, " K"], Float[ndarray, " K"]]:
     """Largest Ritz value of the derivative in a Krylov space of this order, and the residual of its Ritz pair."""
     K, n, _ = slope.U.shape
     start = np.random.default_rng(0).standard_normal((n, n))

@@ -19,7 +19,7 @@ from tolnet.model import SensorNetwork, SteadyState, UnsupportedError
 _ROUNDING = 1e-11
 
 
-def local_tolerances(network: SensorNetwork, central: SteadyState) -> Float[ndarray, N]:
+def local_tolerances(network: SensorNetwork, central: SteadyState) -> Float[ndarray, " N"]:
     """c_k of every node on the gamma scale, from the steady state of the central filter, eq. (42).
 
     Uses n x n matrices only, and no difference of large numbers: V - P and V^-1 + S_k are formed in the eigenbasis of
@@ -43,7 +43,7 @@ def local_tolerances(network: SensorNetwork, central: SteadyState) -> Float[ndar
     return np.where(found <= c * (1 + _ROUNDING), np.minimum(found, c), found)
 
 
-def _block(central: SteadyState, S: Float[ndarray, "K n n"]) -> Float[ndarray, K]:
+def _block(central: SteadyState, S: Float[ndarray, "K n n"]) -> Float[ndarray, " K"]:
     K, n, _ = S.shape
     A, Q = central.A, central.Q
     tolerance = np.full(K, float(central.tolerance))

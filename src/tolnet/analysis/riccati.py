@@ -17,8 +17,8 @@ class RiccatiSolution(NamedTuple):
     """P of every member of the stack, with its own relative residual."""
 
     P: Float[ndarray, "K n n"]
-    residual: Float[ndarray, K]
-    doublings: Int[ndarray, K]
+    residual: Float[ndarray, " K"]
+    doublings: Int[ndarray, " K"]
 
 
 def solve_riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[ndarray, "K n n"]) -> RiccatiSolution:
@@ -63,7 +63,7 @@ def solve_riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[n
 
 def riccati_residual(
     A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[ndarray, "K n n"], P: Float[ndarray, "K n n"]
-) -> Float[ndarray, K]:
+) -> Float[ndarray, " K"]:
     """|A P (I + G P)^-1 A' + Q - P| / |P|, inf where it cannot be formed."""
     right = A @ stacked.solve(np.eye(len(A)) + P @ G, P) @ A.T + Q
     size = stacked.norm(P)
@@ -71,7 +71,9 @@ def riccati_residual(
     return np.where(np.isfinite(residual), residual, np.inf)
 
 
-def is_valid(P: Float[ndarray, "K n n"], theta: Float[ndarray, K], residual: Float[ndarray, K]) -> Bool[ndarray, K]:
+def is_valid(
+    P: Float[ndarray, "K n n"], theta: Float[ndarray, " K"], residual: Float[ndarray, " K"]
+) -> Bool[ndarray, " K"]:
     """Whether P is a covariance on the wanted branch: an accurate solution, P >= 0 and theta lambda_max(P) < 1."""
     eigenvalues, _ = stacked.symmetric_eigen(P)
     with np.errstate(invalid="ignore"):

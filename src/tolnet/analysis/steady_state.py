@@ -67,7 +67,7 @@ def solve_steady_states(
     A: Float[ndarray, "n n"],
     Q: Float[ndarray, "n n"],
     S: Float[ndarray, "K n n"],
-    tolerance: Float[ndarray, K],
+    tolerance: Float[ndarray, " K"],
     *,
     tau: float = 0.0,
     refused: ndarray | None = None,
