@@ -1,7 +1,9 @@
 """The vocabulary: networks, problem files, and the results that travel between the rooms."""
 
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
+from tolnet.model.dynamics import ErrorDynamics, LeastFavourableModel, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
+from tolnet.model.examples import example, example_names
 from tolnet.model.graph import DIFFUSION_RULES
 from tolnet.model.network import SensorNetwork
 from tolnet.model.reading import load, parse, validate
@@ -16,7 +18,10 @@ __all__ = [
     "Ambiguity",
     "Complaint",
     "Convention",
+    "ErrorDynamics",
     "InputError",
+    "LeastFavourableModel",
+    "Performance",
     "SensorNetwork",
     "ShapeError",
     "Status",
@@ -26,6 +31,8 @@ __all__ = [
     "TolnetError",
     "UnsupportedError",
     "check_writable",
+    "example",
+    "example_names",
     "gamma_per",
     "load",
     "parse",
