@@ -1,6 +1,7 @@
 """Choose: tolerances, diffusion weights, and what is deployed."""
 
 from tolnet.design.diffusion import diffusion_matrix
+from tolnet.design.export import export_table, read_table
 from tolnet.design.tolerances import choose_tolerances
 
-__all__ = ["choose_tolerances", "diffusion_matrix"]
+__all__ = ["choose_tolerances", "diffusion_matrix", "export_table", "read_table"]

@@ -1,0 +1,139 @@
+"""A table as text: JSON for programs, CSV for spreadsheets, Markdown for people."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tolnet.design.export.deployment import Deployment
+from tolnet.design.export.record import Limits, TableRecord, plain
+from tolnet.model import ToleranceTable
+
+
+def table_json(table: ToleranceTable, *, limits: Limits | None = None, full: bool = False) -> Iterator[str]:
+    """The document `tolnet.table/1` in pieces, a line a node. `full` adds P, V, the gain and W's column.
+
+    Floats are written so that reading them back gives the same double.
+    """
+    record = TableRecord.of(table, limits)
+    central: dict[str, Any] = plain(record.central)
+    if record.central_limits is not None:
+        central["limits"] = plain(record.central_limits)
+    if full:
+        central |= {"P": plain(table.central.P), "V": plain(table.central.V)}
+    yield "{\n"
+    for key, value in {**record.heading(), "central": central}.items():
+        yield f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n"
+    yield '  "nodes": ['
+    separator = "\n"
+    for node in _nodes(table, record, full):
+        yield f"{separator}    {json.dumps(node, allow_nan=False)}"
+        separator = ",\n"
+    yield "\n  ]\n}\n"
+
+
+def _nodes(table: ToleranceTable, record: TableRecord, full: bool) -> Iterator[dict[str, Any]]:
+    deployment = Deployment.of(table) if full else None
+    own = len(record.nodes)
+    for k, row in enumerate(record.rows()):
+        node = dict(zip(record.nodes, map(plain, row[:own]), strict=True))
+        if record.node_limits is not None:
+            node["limits"] = dict(zip(record.node_limits, map(plain, row[own:]), strict=True))
+        if deployment is not None:
+            node |= _deployed(table, deployment, k)
+        yield node
+
+
+def _deployed(table: ToleranceTable, deployment: Deployment, k: int) -> dict[str, Any]:
+    begin, end = deployment.offsets[[k, k + 1]].tolist()
+    columns = (deployment.columns[begin : end + 1] - deployment.columns[begin]).tolist()
+    links = zip(deployment.neighbours[begin:end].tolist(), deployment.weights[begin:end].tolist(), strict=True)
+    return {
+        "P": plain(table.local.P[k]),
+        "V": plain(table.local.V[k]),
+        "gain": plain(deployment.gain(k)),
+        "neighbours": [{"node": l, "weight": w, "columns": columns[i : i + 2]} for i, (l, w) in enumerate(links)],
+    }
+
+
+def table_csv(record: TableRecord) -> Iterator[str]:
+    """One row a node under a line of column names, after comment lines `# key: value` with the rest, values as JSON.
+
+    A value that does not exist is an empty cell, infinity is `inf`; floats read back as the same double.
+    """
+    central = {"central": {**record.central, "limits": record.central_limits or {}}}
+    for key, value in _flat({**record.heading(), **central}):
+        yield f"# {key}: {json.dumps(plain(value), allow_nan=False)}\n"
+    line = io.StringIO()
+    writer = csv.writer(line, lineterminator="\n")
+    writer.writerow(record.columns)
+    for row in record.rows():
+        writer.writerow(["" if value is None else value for value in map(plain, row)])
+        yield line.getvalue()
+        line.seek(0)
+        line.truncate()
+    yield line.getvalue()
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+HEADS = {
+    "node": "node",
+    "name": "name",
+    "degree": "n_k",
+    "tolerance": "c_k",
+    "theta": "theta_k",
+    "trace_P": "tr P_k",
+    "trace_V": "tr V_k",
+    "spectral_radius": "rho(M_k)",
+    "attraction": "attraction",
+    "status": "status",
+    "limits_fold": "c at the fold",
+    "limits_attracts": "c that settles",
+    "limits_exists": "c with a steady state",
+    "limits_published": "c of the published bound",
+}
+"""The columns as people know them."""
+
+
+def table_markdown(record: TableRecord) -> Iterator[str]:
+    """A heading, where the table comes from, and all rows, rounded to six digits for reading."""
+    central = record.central
+    yield f"# Tolerance table of {_cell(record.problem or 'an unnamed problem')}\n\n"
+    yield f"- tolerance c = {record.tolerance!r} ({record.convention}), tau = {record.tau!r}\n"
+    yield f"- problem file: SHA-256 `{record.sha256 or 'none, it was not read from a file'}`\n"
+    yield f"- tolnet {record.version}, status: {record.status}\n"
+    yield (
+        f"- central filter: theta = {cell(central['theta'])}, tr P = {cell(central['trace_P'])},"
+        f" tr V = {cell(central['trace_V'])}, attraction = {cell(central['attraction'])}, {central['status']}\n"
+    )
+    if record.central_limits is not None:
+        limits = (f"{HEADS[f'limits_{key}']} {cell(value)}" for key, value in record.central_limits.items())
+        yield f"- limits of the central filter: {', '.join(limits)}\n"
+    columns = record.columns
+    yield f"\n| {' | '.join(HEADS[key] for key in columns)} |\n"
+    yield "|" + "|".join(" --- " if key in ("name", "status") else " ---: " for key in columns) + "|\n"
+    for row in record.rows():
+        yield f"| {' | '.join(_cell(cell(value)) for value in row)} |\n"
+
+
+def cell(value: Any) -> str:
+    """One value for people: six digits, a dash where there is none."""
+    if isinstance(value, float | np.floating):
+        return "-" if np.isnan(value) else f"{value:.6g}"
+    return str(value)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("\\", "\\\\").replace("|", "\\|").split())
