@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic.json_schema import GenerateJsonSchema
 
 from tolnet.model._checks import nearest, shown
 from tolnet.model.ambiguity import Convention
@@ -41,7 +42,7 @@ def _kind(value: Any) -> str:
 
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Index = Annotated[int, Field(strict=True, ge=0)]
+Index = Annotated[int, Field(strict=True, ge=0, le=2**53)]
 _Reference = Annotated[ArrayReference, Tag("*array*")]
 Vector = Annotated[Annotated[list[Number], Tag("*list*")] | _Reference, Discriminator(_kind)]
 Matrix = Annotated[Annotated[list[list[Number]], Tag("*list*")] | _Reference, Discriminator(_kind)]
@@ -137,7 +138,9 @@ class Diffusion(_Table):
 class Problem(_Table):
     """A plant, the sensors that watch it, and the graph over which they talk."""
 
-    model_config = ConfigDict(title="tolnet.problem/1")
+    model_config = ConfigDict(
+        title="tolnet.problem/1", json_schema_extra={"anyOf": [{"required": ["sensors"]}, {"required": ["arrays"]}]}
+    )
 
     schema_: Literal["tolnet.problem/1"] = Field(alias="schema", description="version of this format")
     name: str = Field("", description="name of the problem")
@@ -171,14 +174,29 @@ _FORMS = {
     "too_short": "a pair",
     "too_long": "a pair",
 }
+_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than_equal": ("<=", "le")}
+
+
+class _SchemaOfToml(GenerateJsonSchema):
+    """Without null, which TOML does not have: a key that may be left out has no other way to say nothing."""
+
+    def nullable_schema(self, schema: Any) -> dict[str, Any]:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: Any) -> dict[str, Any]:
+        described = super().default_schema(schema)
+        if described.get("default", 0) is None:
+            del described["default"]
+        return described
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
 
 
 def problem_schema() -> dict[str, Any]:
     """The JSON Schema of the problem file, generated from the models above."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Problem.model_json_schema(by_alias=True),
-    }
+    own = Problem.model_json_schema(by_alias=True, schema_generator=_SchemaOfToml)
+    return {"$schema": _SchemaOfToml.schema_dialect, **own}
 
 
 def complaints_about_form(mapping: dict[Any, Any]) -> list[tuple[str, Complaint]]:
@@ -198,9 +216,7 @@ def _translated(errors: Iterable[Any]) -> Iterator[tuple[str, Complaint]]:
     count: dict[tuple[Any, ...], int] = {}
     for error in errors:
         place = tuple(x for x in error["loc"] if not (isinstance(x, str) and re.fullmatch(r"\*\w+\*", x)))
-        base = place
-        while isinstance(base[-1], int) and len(base) > 2:
-            base = base[:-1]
+        base = place[: 3 if place[0] == "sensors" else 2]
         kind = (*base, error["type"])
         first.setdefault(kind, (place, base, error))
         count[kind] = count.get(kind, 0) + 1
@@ -224,9 +240,9 @@ def _message(place: tuple[Any, ...], error: Any) -> str:
         return "is missing" + (f": {meant}" if meant else "")
     if kind == "literal_error":
         return f"is {shown(value)}; {bounds['expected']} was expected"
-    if kind in ("greater_than", "greater_than_equal", "less_than_equal"):
-        limit = {"greater_than": "> {gt}", "greater_than_equal": ">= {ge}", "less_than_equal": "<= {le}"}[kind]
-        return f"is {shown(value)}; a number {limit.format(**bounds)} was expected"
+    if kind in _BOUNDS:
+        sign, name = _BOUNDS[kind]
+        return f"is {shown(value)}; a number {sign} {bounds[name]:.16g} was expected"
     return f"is {shown(value)}; {_FORMS.get(kind, 'something else')} was expected"
 
 

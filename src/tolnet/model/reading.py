@@ -179,17 +179,15 @@ class _Reader:
         name = value.get("array", value.get("triples")) if isinstance(value, dict) else None
         if not isinstance(name, str) or self.told(key):
             return value
+        if "arrays" not in self.content:
+            self.blame(key, f"refers to {name!r}, but no archive is named (`arrays = ...`)")
+            return value
         if name not in self.archive:
             hint = f"; the nearest is {nearest(name, self.archive)!r}" if self.archive else ""
-            self.blame(key, f"refers to {name!r}, which {self.archive_name} does not hold{hint}")
+            self.blame(key, f"refers to {name!r}, which the archive does not hold{hint}")
             return value
         self.used.add(name)
         return self.archive[name]
-
-    @property
-    def archive_name(self) -> str:
-        name = self.content.get("arrays")
-        return repr(name) if isinstance(name, str) else "no archive (key `arrays`)"
 
     def packed(self, name: str) -> ndarray | None:
         """An array of the archive that needs no reference."""
@@ -212,7 +210,7 @@ class _Reader:
                 letter: [self.resolved(table.get(letter), f"sensors[{k}].{letter}") for k, table in enumerate(tables)]
                 for letter in ("C", "R", "D")
             }
-        if "C" not in self.archive:
+        if "C" not in self.archive and not self.told("sensors"):
             self.blame("sensors", "is missing: one table [[sensors]] a node, or C and R in an archive, were expected")
         return {key: self.packed(key) for key in ("C", "R", "D", "rows")}
 
