@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import sparse
-from scipy.sparse import csgraph
-from scipy.spatial.distance import pdist
 
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
@@ -77,6 +75,9 @@ def _connected(
     generator: np.random.Generator, N: int, links: int
 ) -> tuple[Float[ndarray, "N 2"], Int[ndarray, "links 2"]]:
     """Points whose `links` shortest pairs connect them all, and those pairs."""
+    from scipy.sparse import csgraph  # takes longer to import than the built-in file to read
+    from scipy.spatial.distance import pdist
+
     first, second = np.triu_indices(N, 1)
     for _ in range(DRAWS):
         positions = generator.random((N, 2))

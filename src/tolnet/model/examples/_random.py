@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import sparse
-from scipy.sparse import csgraph
-from scipy.spatial import KDTree
 
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
@@ -36,7 +34,7 @@ def random_network(
         raise InputError(f"{nodes} nodes and {n} states were asked for; at least 1 of each was expected")
     generator = np.random.default_rng(seed)
     axes, moving = (n + 1) // 2, n // 2
-    positions = generator.random((nodes, 2))
+    positions = _strip_by_strip(generator.random((nodes, 2)))
     edges = _links(positions)
     heard = min(nodes, NEAREST + 1)
     p = -(-axes // heard)
@@ -62,8 +60,16 @@ def random_network(
     )
 
 
+def _strip_by_strip(positions: Float[ndarray, "N 2"]) -> Float[ndarray, "N 2"]:
+    """The same points in an order in which most neighbours are close: memory is read faster so."""
+    strip = np.floor(positions[:, 1] * np.sqrt(len(positions) / NEAREST))
+    return positions[np.lexsort((positions[:, 0], strip))]
+
+
 def _links(positions: Float[ndarray, "N 2"]) -> Int[ndarray, "E 2"]:
     """Each node with its nearest ones, then the shortest links that join every part to the largest; sorted."""
+    from scipy.spatial import KDTree
+
     N = len(positions)
     if N == 1:
         return np.empty((0, 2), dtype=np.int64)
@@ -73,12 +79,16 @@ def _links(positions: Float[ndarray, "N 2"]) -> Int[ndarray, "E 2"]:
     # Coincident points may come before the node itself, which then is not the first of its own list.
     others = np.where(near == np.arange(N)[:, None], -1, near)
     others = np.take_along_axis(others, np.argsort(others < 0, axis=1, kind="stable"), axis=1)[:, :k].ravel()
-    edges = np.unique(np.sort(np.stack([own, others], axis=1), axis=1), axis=0)
+    code = np.sort(np.minimum(own, others) * N + np.maximum(own, others))  # np.unique hashes, which takes longer
+    edges = np.stack(np.divmod(code[np.diff(code, prepend=-1) > 0], N), axis=1)
     return np.concatenate([edges, _joints(positions, edges)])
 
 
 def _joints(positions: Float[ndarray, "N 2"], edges: Int[ndarray, "E 2"]) -> Int[ndarray, "J 2"]:
     """For each connected part but the largest, the shortest link to the largest."""
+    from scipy.sparse import csgraph
+    from scipy.spatial import KDTree
+
     N = len(positions)
     graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(N, N))
     _, part = csgraph.connected_components(graph, directed=False)
