@@ -21,7 +21,7 @@ from numpy import ndarray
 _SERIES_BELOW = 0.4
 _SERIES_TERMS = 18
 _NEWTON_STEPS = 60
-_EPS = np.finfo(float).eps
+_LAST_STEP = 1e-9  # in log mu: Newton squares it, so that nothing is left to gain
 
 
 class Inflation(NamedTuple):
@@ -56,10 +56,9 @@ def inflate(eigenvalues: Float[ndarray, "*K n"], tolerance: Float[ndarray, "*K"]
         step = np.log(value / wanted) * value / (derivative * top)
         proposed = top * np.exp(-np.clip(step, -50, 50))
         inside = (proposed > low) & (proposed < high)
-        following = np.where(inside, proposed, np.where(value == wanted, top, np.sqrt(low * high)))
-        done = np.abs(following - top) <= 4 * _EPS * top
-        top = following
-        if done.all():
+        small = np.abs(step) <= _LAST_STEP
+        top = np.where(inside | small, proposed, np.sqrt(low * high))
+        if small.all():
             break
     excess, _ = _spread(top, ratio, gap, tau)
     s = 1.0 / (1.0 + 1.0 / top) if tau == 0 else _scaled_theta(top, tau)
@@ -79,10 +78,9 @@ def scalar_excess(tolerance: Float[ndarray, "*K"], tau: float = 0.0) -> Float[nd
     mu = np.sqrt(2 * c) + c if tau < 0.5 else np.sqrt(2 * c) + c / (1 + np.log1p(c))
     for _ in range(_NEWTON_STEPS):
         value = divergence(np.log1p(mu), tau)
-        following = mu * np.exp(-np.clip(np.log(value / c) * value / (_derivative(mu, tau) * mu), -50, 50))
-        done = np.abs(following - mu) <= 4 * _EPS * mu
-        mu = following
-        if done.all():
+        step = np.log(value / c) * value / (_derivative(mu, tau) * mu)
+        mu = mu * np.exp(-np.clip(step, -50, 50))
+        if (np.abs(step) <= _LAST_STEP).all():
             break
     return np.where(tolerance > 0, mu, 0.0)
 

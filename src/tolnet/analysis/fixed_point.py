@@ -46,41 +46,69 @@ class Recursion:
         return Recursion(self.A, self.Q, self.S, tolerance, self.tau)
 
 
-class Step(NamedTuple):
-    """One step of the recursion from P, with all that its derivative needs (lines 1 to 3)."""
+class Inflated(NamedTuple):
+    """V = U diag(lambda (1 + mu)) U' of P = U diag(lambda) U', kept in the eigenbasis (line 1)."""
 
-    following: Float[ndarray, "K n n"]
     eigenvalues: Float[ndarray, "K n"]
     U: Float[ndarray, "K n n"]
     theta: Float[ndarray, " K"]
     excess: Float[ndarray, "K n"]
-    AZ: Float[ndarray, "K n n"]
-    """A Z U: maps the eigenbasis into the state."""
 
     @property
     def V(self) -> Float[ndarray, "K n n"]:
-        """V = U diag(lambda (1 + mu)) U'."""
+        """V itself."""
         v = self.eigenvalues * (1 + self.excess)
         return stacked.symmetric_part((self.U * v[:, None, :]) @ self.U.mT)
 
 
-def step(recursion: Recursion, P: Float[ndarray, "K n n"]) -> Step:
-    """T_c(P) = A (V^-1 + S)^-1 A' + Q with V from gamma(P, theta) = c (lines 1 to 3)."""
-    A, Q, S = recursion.A, recursion.Q, recursion.S
-    n = len(A)
+def inflate_covariance(P: Float[ndarray, "K n n"], tolerance: Float[ndarray, " K"], tau: float = 0.0) -> Inflated:
+    """V from gamma(P, theta) = c (line 1); c = 0 leaves V = P."""
     eigenvalues, U = stacked.symmetric_eigen(P)
     # A singular P is carried as one whose null eigenvalues are a hair above zero: too little to change any sum.
     eigenvalues = np.maximum(eigenvalues, 1e-100 * np.abs(eigenvalues[:, -1:]) + 1e-250)
-    theta, excess = inflate(eigenvalues, recursion.tolerance, recursion.tau)
-    v = eigenvalues * (1 + excess)
-    information = U.mT @ S @ U
+    theta, excess = inflate(eigenvalues, tolerance, tau)
+    return Inflated(eigenvalues, U, theta, excess)
+
+
+def filter_gain(
+    A: Float[ndarray, "n n"], S: Float[ndarray, "K n n"], at: Inflated
+) -> tuple[Float[ndarray, "#K n n"], Float[ndarray, "K n n"]]:
+    """A U and A Z U, so that A Z A' is their product (line 2); one V may serve a stack of S."""
+    AU = A @ at.U
+    information = at.U.mT @ S @ at.U
     diagonal = np.einsum("kii->ki", information)
-    w = np.sqrt(1.0 / (1.0 / v + diagonal))
+    w = np.sqrt(1.0 / (1.0 / (at.eigenvalues * (1 + at.excess)) + diagonal))
     unit = w[:, :, None] * information * w[:, None, :]
     np.einsum("kii->ki", unit)[...] = 1.0
-    AZ = (A @ U * w[:, None, :]) @ stacked.solve(unit, np.eye(n) * w[:, None, :])
-    following = stacked.symmetric_part(AZ @ (A @ U).mT) + Q
-    return Step(following, eigenvalues, U, theta, excess, AZ)
+    return AU, (AU * w[:, None, :]) @ stacked.solve(unit, np.eye(len(A)) * w[:, None, :])
+
+
+def predict(
+    A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], S: Float[ndarray, "K n n"], at: Inflated
+) -> Float[ndarray, "K n n"]:
+    """A (V^-1 + S)^-1 A' + Q (line 3)."""
+    AU, AZ = filter_gain(A, S, at)
+    return stacked.symmetric_part(AZ @ AU.mT) + Q
+
+
+class Step(NamedTuple):
+    """One step of the recursion from P, with all that its derivative needs (lines 1 to 3)."""
+
+    following: Float[ndarray, "K n n"]
+    at: Inflated
+    AZ: Float[ndarray, "K n n"]
+    """A Z U: maps the eigenbasis into the state."""
+
+    def part(self, index: ndarray) -> Step:
+        """The members at `index`."""
+        return Step(self.following[index], Inflated(*(value[index] for value in self.at)), self.AZ[index])
+
+
+def step(recursion: Recursion, P: Float[ndarray, "K n n"]) -> Step:
+    """T_c(P) = A (V^-1 + S)^-1 A' + Q with V from gamma(P, theta) = c (lines 1 to 3)."""
+    at = inflate_covariance(P, recursion.tolerance, recursion.tau)
+    AU, AZ = filter_gain(recursion.A, recursion.S, at)
+    return Step(stacked.symmetric_part(AZ @ AU.mT) + recursion.Q, at, AZ)
 
 
 class Derivative(NamedTuple):
@@ -126,9 +154,10 @@ class Derivative(NamedTuple):
         return full
 
 
-def derivative(recursion: Recursion, at: Step) -> Derivative:
+def derivative(recursion: Recursion, taken: Step) -> Derivative:
     """The derivative of T_c at the point of a step (lines 4 and 5)."""
-    tau, lam, kappa = recursion.tau, at.eigenvalues, 1 + at.excess
+    at, tau = taken.at, recursion.tau
+    lam, kappa = at.eigenvalues, 1 + at.excess
     theta = at.theta[:, None]
     h = at.excess * kappa if tau == 0 else kappa ** (2 - tau) * _log_ratio(kappa, tau)
     h = h / np.maximum(h.max(axis=-1, keepdims=True), np.finfo(float).tiny)
@@ -143,7 +172,7 @@ def derivative(recursion: Recursion, at: Step) -> Derivative:
         near = np.abs(distance) <= 1e-5 * (lam[:, :, None] + lam[:, None, :])
         quotient = (inverse[:, None, :] - inverse[:, :, None]) / np.where(near, 1.0, distance)
         q = np.where(near, (slope[:, :, None] + slope[:, None, :]) / 2, quotient)
-    return Derivative(at.U, at.AZ, q, t, a, separable=tau == 0)
+    return Derivative(at.U, taken.AZ, q, t, a, separable=tau == 0)
 
 
 def _log_ratio(kappa: ndarray, tau: float) -> ndarray:
@@ -203,8 +232,8 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
     with np.errstate(all="ignore"):
         for _ in range(most):
             part = recursion.part(todo)
-            at = step(part, P)
-            defect = at.following - P
+            taken = step(part, P)
+            defect = taken.following - P
             relative = stacked.norm(defect) / stacked.norm(P)
             better = relative < residual[todo]
             stalls = np.where(relative < 0.5 * residual[todo], 0, stalls + 1)
@@ -215,12 +244,12 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
             if not stays.any():
                 break
             todo, stalls = todo[stays], stalls[stays]
-            at = Step(*(part_[stays] for part_ in at))
-            slope = derivative(recursion.part(todo), at)
+            taken = taken.part(stays)
+            slope = derivative(recursion.part(todo), taken)
             proposed = P[stays] + newton_direction(slope, defect[stays])
             eigenvalues, _ = stacked.symmetric_eigen(proposed)
             inside = eigenvalues[:, 0] >= -1e-12 * eigenvalues[:, -1]
-            P = np.where(inside[:, None, None], proposed, at.following)
+            P = np.where(inside[:, None, None], proposed, taken.following)
     return Converged(best, residual, steps)
 
 

@@ -2,10 +2,10 @@
 
 All three are read off one path of steady states, from the Kalman filter at c = 0 upwards:
 
-    fold      the closed loop at fixed theta, K = A (V^-1 + S)^-1 P^-1, leaves the unit disc: theta stops rising with c
+    fold      the loop at fixed theta, K = A (V^-1 + S)^-1 P^-1, leaves the unit disc: theta stops rising with c
     attracts  the derivative of the covariance recursion leaves the unit disc
-    exists    no steady state is found any more; infinite where every mode is observable, since the recursion then maps
-              a compact convex set of covariances into itself (docs/mathematics.md, section 6)
+    exists    no steady state is found any more; infinite where every mode is observable, since the recursion then
+              maps a compact convex set of covariances into itself (docs/mathematics.md, section 6)
 
 `published` is the sufficient bound of the literature, from strict contraction over a block of `window` steps:
 
@@ -44,9 +44,9 @@ def tolerance_limits(
 ) -> tuple[ToleranceLimits, ToleranceLimits]:
     """The limits of the central filter (no stack) and of every node's own tolerance c_k (a stack of N), gamma scale.
 
-    Up to `largest`; beyond, inf. The path is sampled twice a decade from 1e-9 and each change of sign refined, so the
-    first crossing is reported and a limit below 1e-9 appears as 0. `window` is the block length of the published bound
-    (default 2 n). Filters without detectability, and all filters of a plant that is not stabilisable, have 0
+    Up to `largest`; beyond, inf. The path is sampled twice a decade from 1e-9 and each change of sign refined, so
+    the first crossing is reported and a limit below 1e-9 appears as 0. `window` is the block length of the published
+    bound (default 2 n). Filters without detectability, and all filters of a plant that is not stabilisable, have 0
     throughout. Kullback-Leibler balls only.
     Source: docs/mathematics.md, sections 4 and 6; published bound: M. Zorzi, SIAM J. Control Optim. 55, 2017.
     """

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from tolnet.analysis import stacked
 from tolnet.analysis.divergence import divergence
-from tolnet.analysis.fixed_point import Recursion, step
+from tolnet.analysis.fixed_point import Inflated, inflate_covariance, predict
 from tolnet.model import SensorNetwork, SteadyState, UnsupportedError
 
 _ROUNDING = 1e-11
@@ -36,26 +36,36 @@ def local_tolerances(network: SensorNetwork, central: SteadyState) -> Float[ndar
         return np.full(network.N, np.nan)
     if c == 0:
         return np.zeros(network.N)
+    at = inflate_covariance(central.P[None], np.array([c]))
+    return seen_tolerances(network, c, now=at, following=at)
+
+
+def seen_tolerances(network: SensorNetwork, c: float, *, now: Inflated, following: Inflated) -> Float[ndarray, " N"]:
+    """c_{k,t} of eq. (30) from the centre's V_t (`now`) and its P_{t+1}, V_{t+1} (`following`), stacks of one.
+
+    In the steady state the two are the same, eq. (42).
+    """
+    A, Q = network.A, network.Q
+    root_X = following.U * np.sqrt(following.eigenvalues * following.excess)[:, None, :]
     size = max(1, 2**21 // (8 * network.n**2))
-    parts = [_block(central, network.information[start : start + size]) for start in range(0, network.N, size)]
+    parts = [
+        _seen(predict(A, Q, network.information[start : start + size], now), root_X)
+        for start in range(0, network.N, size)
+    ]
     found = np.concatenate(parts)
     # c_k <= c is a theorem; where the node hears everybody the two differ by rounding alone.
     return np.where(found <= c * (1 + _ROUNDING), np.minimum(found, c), found)
 
 
-def _block(central: SteadyState, S: Float[ndarray, "K n n"]) -> Float[ndarray, " K"]:
-    K, n, _ = S.shape
-    A, Q = central.A, central.Q
-    tolerance = np.full(K, float(central.tolerance))
-    at = step(Recursion(A, Q, S, tolerance), np.broadcast_to(central.P, (K, n, n)))
-    P_loc = at.following  # line 2: one step of the node's recursion from the central P
+def _seen(P_loc: Float[ndarray, "K n n"], root_X: Float[ndarray, "1 n n"]) -> Float[ndarray, " K"]:
+    """Lines 2 and 3, with X = root_X root_X'; P_loc is scaled to a unit diagonal first."""
+    n = P_loc.shape[-1]
     scale = np.sqrt(np.einsum("kii->ki", P_loc))
     scale = np.where(scale > 0, scale, 1.0)
     eigenvalues, U = stacked.symmetric_eigen(P_loc / scale[:, :, None] / scale[:, None, :])
     # X lives in the range of P, which is inside that of P_loc: null directions of P_loc carry nothing.
     inside = eigenvalues > 4 * n * np.finfo(float).eps * eigenvalues[:, -1:]
     inverse_root = np.where(inside, 1.0 / np.sqrt(np.where(inside, eigenvalues, 1.0)), 0.0)
-    root_X = at.U * np.sqrt(at.eigenvalues * at.excess)[:, None, :] / scale[:, :, None]
-    half = inverse_root[:, :, None] * (U.mT @ root_X)
+    half = inverse_root[:, :, None] * (U.mT @ (root_X / scale[:, :, None]))
     m = np.linalg.svd(half, compute_uv=False) ** 2
     return divergence(np.log1p(m)).sum(axis=-1)

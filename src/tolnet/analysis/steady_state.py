@@ -129,12 +129,12 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
     with np.errstate(all="ignore"):
         points = solve_fixed_points(recursion)
         found, P = points.found, points.P
-        at = step(recursion, np.where(found[:, None, None], P, np.eye(len(A))))
-        V, slope = at.V, derivative(recursion, at)
+        taken = step(recursion, np.where(found[:, None, None], P, np.eye(len(A))))
+        at, V = taken.at, taken.at.V
         v = at.eigenvalues * (1 + at.excess)
-        M = (at.AZ / v[:, None, :]) @ at.U.mT
-        attracts = attraction(slope)
-        defect = stacked.norm(at.following - P) / stacked.norm(P)
+        M = (taken.AZ / v[:, None, :]) @ at.U.mT
+        attracts = attraction(derivative(recursion, taken))
+        defect = stacked.norm(taken.following - P) / stacked.norm(P)
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
         mismatch = np.where(c > 0, np.abs(divergence_now - c) / np.where(c > 0, c, 1.0), 0.0)
         values = {

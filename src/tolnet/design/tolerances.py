@@ -21,8 +21,8 @@ def choose_tolerances(
 
     `tolerance` is c on the gamma scale or an Ambiguity; without it the network's own. `uniform` keeps c_k = c at
     every node (Algorithm 1), which needs no centre and is the only choice for tau != 0. `progress(done, total)` is
-    called as blocks of nodes are finished. A filter without an answer says so in its status and leaves the others alone;
-    where the centre has none, neither has any node whose c_k would come from it.
+    called as blocks of nodes are finished. A filter without an answer says so in its status and leaves the others
+    alone; where the centre has none, neither has any node whose c_k would come from it.
     Raises InputError for a bad or missing tolerance, UnsupportedError for tau != 0 without `uniform`.
     Source: eqs. (30), (42), (44); docs/mathematics.md, section 3.
     """
