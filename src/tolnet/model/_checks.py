@@ -200,6 +200,15 @@ def shown(value: Any) -> str:
     return {dict: "a table", type(None): "nothing"}.get(type(value), f"of type {type(value).__name__}")
 
 
+def unreadable(error: OSError | ValueError) -> str:
+    """Why a file cannot be read; a ValueError is about a name that no file can have."""
+    if isinstance(error, IsADirectoryError):
+        return "is a directory; a file was expected"
+    if isinstance(error, FileNotFoundError):
+        return "does not exist"
+    return f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Which of the `known` words looks most like `word`, whatever the case."""
 

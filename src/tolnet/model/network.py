@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from tolnet.model import _checks as checks
 from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
+from tolnet.model.errors import InputError
 from tolnet.model.graph import DIFFUSION_RULES, links_of, parse_adjacency, parse_diffusion
 from tolnet.model.sensors import Packed
 
@@ -122,6 +124,30 @@ class SensorNetwork:
         complaints.raise_if_any()
         for key, value in values.items():
             object.__setattr__(self, key, frozen(value) if isinstance(value, ndarray) else value)
+
+    @classmethod
+    def from_mat(cls, path: str | Path) -> SensorNetwork:
+        """The network in a MATLAB file (format 7 or older), whose variables carry the constructor's names.
+
+        A and B or Q, n x n and n x m; C, R or D as cell arrays of one matrix a node ([] for a relay) or stacked,
+        C p x n x N and R p x p x N; `edges`, E x 2 with nodes counted from 1 as MATLAB does, [from, to] where
+        `directed` is true, or `adjacency`, N x N, sparse or full, whose (l, k) says that node k hears node l, as
+        MATLAB's own adjacency(digraph) does. Optional: input, initial_mean, initial_covariance, dt, positions
+        (N x 2), names and states (cell arrays of texts), name, description, tolerance, convention, tau, and the
+        diffusion as W, N x N with columns that sum to one, or as the name of a `rule`.
+        Raises InputError for what is no such file, for variables that are not known, and for all that the
+        constructor refuses. `digest` is the SHA-256 of the file's bytes.
+        """
+        from tolnet.model.matlab import arguments_of_mat
+
+        try:
+            data = Path(path).read_bytes()
+        except (OSError, ValueError) as error:
+            raise InputError(checks.unreadable(error), source=str(path)) from None
+        try:
+            return cls(**arguments_of_mat(data))
+        except InputError as error:
+            raise type(error)(error.complaints, source=str(path)) from None
 
     @property
     def n(self) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy import ndarray
 
-from tolnet.model._checks import Complaints, nearest, shown
+from tolnet.model._checks import Complaints, nearest, shown, unreadable
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.archive import read_archive
 from tolnet.model.errors import Complaint, InputError, ShapeError
@@ -34,7 +34,7 @@ def load(path: str | Path) -> SensorNetwork:
     try:
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:
-        raise InputError(_unreadable(error), source=source) from None
+        raise InputError(unreadable(error), source=source) from None
     return _Reader(_mapping(data, source), Path(path).parent, data, source).network()
 
 
@@ -58,14 +58,6 @@ def parse(mapping: Mapping[str, Any], folder: str | Path = ".") -> SensorNetwork
 def parse_text(data: bytes, source: str) -> SensorNetwork:
     """`load` for a problem file whose bytes are at hand and that refers to no other file."""
     return _Reader(_mapping(data, source), Path(), data, source).network()
-
-
-def _unreadable(error: OSError | ValueError) -> str:
-    if isinstance(error, IsADirectoryError):
-        return "is a directory; a file was expected"
-    if isinstance(error, FileNotFoundError):
-        return "does not exist"
-    return f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
 
 
 def _mapping(data: bytes, source: str) -> dict[str, Any]:
@@ -143,7 +135,7 @@ class _Reader:
         try:
             data = (self.folder / name).read_bytes()
         except (OSError, ValueError) as error:
-            self.blame(key, f"names {name!r}, which {_unreadable(error)}")
+            self.blame(key, f"names {name!r}, which {unreadable(error)}")
             return None
         if self.hash:
             self.hash.update(data)
