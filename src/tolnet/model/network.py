@@ -102,10 +102,10 @@ class SensorNetwork:
         values = _parse_plant(A, B, Q, input, initial_mean, initial_covariance, complaints)
         n = None if values["A"] is None else len(values["A"])
         values |= _parse_sensors(C, R, D, rows, n, complaints)
-        N = None if values["rows"] is None else len(values["rows"]) - 1
+        N = sensors.count(C, rows) if values["rows"] is None else len(values["rows"]) - 1
         if not isinstance(directed, bool | np.bool_):
             complaints.add("network.directed", f"is {checks.shown(directed)}; true or false was expected")
-        if N is not None:
+        if N:
             values |= _parse_network(adjacency, edges, bool(directed), positions, names, diffusion, N, complaints)
         values |= {
             "states": checks.labels(states, n, "plant.states", f"plant.A is {n} x {n}", complaints),
@@ -275,8 +275,8 @@ def _parse_sensors(C: Any, R: Any, D: Any, rows: Any, n: int | None, complaints:
     packed = sensors.pack_observations(C, rows, n, complaints)
     if packed is None:
         return dict.fromkeys(("C", "R", "D", "rows"))
-    C, rows = packed
-    R, D = sensors.pack_noise(R, D, C, rows, complaints)
+    C, rows, unknown = packed
+    R, D = sensors.pack_noise(R, D, C, rows, unknown, complaints)
     return {"C": C, "R": R, "D": D, "rows": rows}
 
 

@@ -16,6 +16,7 @@ from tolnet.model.archive import read_archive
 from tolnet.model.errors import Complaint, InputError, ShapeError
 from tolnet.model.graph import DIFFUSION_RULES, weights_of_triples
 from tolnet.model.network import SensorNetwork
+from tolnet.model.sensors import count
 
 PACKED = ("C", "R", "D", "rows", "edges")
 """Arrays of a side archive that stand, without a reference, for the `[[sensors]]` tables and the list of links."""
@@ -86,8 +87,6 @@ class _Reader:
     ) -> None:
         from tolnet.model.problem import complaints_about_form  # imported late: pydantic takes its time
 
-        if not isinstance(mapping, Mapping):
-            raise InputError(f"is {shown(mapping)}; a table was expected", source=source)
         self.content, self.folder, self.source = dict(mapping), folder, source
         self.hash = None if data is None else hashlib.sha256(data)
         self.complaints = Complaints()
@@ -106,7 +105,7 @@ class _Reader:
         """Build the network, or raise with everything that is wrong."""
         self.open_archive()
         arguments = self.plant() | self.sensors()
-        N = _count(arguments)
+        N = count(arguments["C"], arguments.get("rows"))
         arguments |= self.graph(N) | self.diffusion(N) | self.texts() | {"ambiguity": self.ambiguity()}
         for name in sorted(set(self.archive) - self.used):
             self.blame(
@@ -191,7 +190,8 @@ class _Reader:
         table = self.table("plant")
         arrays = ("A", "B", "Q", "input", "initial_mean", "initial_covariance")
         values = {key: self.resolved(table.get(key), f"plant.{key}") for key in arrays}
-        return values | {key: self.plain("plant", key) for key in ("states", "dt")}
+        dt = self.plain("plant", "dt")
+        return values | {"states": self.plain("plant", "states"), "dt": None if dt is None else float(dt)}
 
     def sensors(self) -> dict[str, Any]:
         """C, R and D from the tables, one a node, or else packed in the archive."""
@@ -221,7 +221,7 @@ class _Reader:
             edges = self.packed("edges")
         if nodes is None and graphml is None and not self.told("network.nodes"):
             self.blame("network.nodes", "is missing: number of nodes")
-        if nodes is not None and N is not None and nodes != N:
+        if nodes is not None and N and nodes != N:
             self.complaints.add("network.nodes", f"is {shown(nodes)}; there are {N} sensors", shape=True)
         names = self.resolved(table.get("names"), "network.names")
         return {
@@ -268,20 +268,13 @@ class _Reader:
         table = self.table("ambiguity")
         if not table or any(old.partition(".")[0] == "ambiguity" for old in self.blamed):
             return None
+        numbers = {key: float(table[key]) for key in ("tolerance", "tau") if key in table}
         try:
-            return Ambiguity(**table)
+            return Ambiguity(**{**table, **numbers})
         except InputError as error:
             for complaint in error.complaints:
                 self.blame(complaint.key, complaint.message)
             return None
-
-
-def _count(arguments: dict[str, Any]) -> int | None:
-    """How many sensors there are, as far as that can be told before they are judged."""
-    C, rows = arguments["C"], arguments.get("rows")
-    if isinstance(rows, ndarray):
-        return len(rows) - 1 if rows.ndim == 1 else None
-    return len(C) if isinstance(C, list) or (isinstance(C, ndarray) and C.ndim == 3) else None
 
 
 def _place(complaint: Complaint) -> int:

@@ -55,10 +55,20 @@ class Packed:
         return frozen(result)
 
 
-def pack_observations(C: Any, rows: Any, n: int | None, complaints: Complaints) -> tuple[ndarray, ndarray] | None:
+def count(C: Any, rows: Any) -> int | None:
+    """How many sensors C describes, as far as its form tells."""
+    if rows is not None:
+        return len(rows) - 1 if isinstance(rows, ndarray) and rows.ndim == 1 else None
+    return len(C) if by_node(C) or (isinstance(C, ndarray) and C.ndim == 3) else None
+
+
+def pack_observations(
+    C: Any, rows: Any, n: int | None, complaints: Complaints
+) -> tuple[ndarray, ndarray, set[int]] | None:
     """C as (M, n) with offsets `rows`, from a packed array, a stack (N, p, n) or a sequence of matrices.
 
-    `n` None: any number of columns, since A is wrong already.
+    `n` None: any number of columns, since A is wrong already. The third value holds the nodes whose matrix was
+    complained about and left out, so that the others can still be judged.
     """
     columns = "n" if n is None else str(n)
     if rows is not None:
@@ -72,22 +82,22 @@ def pack_observations(C: Any, rows: Any, n: int | None, complaints: Complaints) 
         if N == 0:
             complaints.add("sensors", "is empty; one sensor a node was expected")
             return None
-        return stack.reshape(N * p, width), np.arange(N + 1) * p
-    if not _by_node(C):
+        return stack.reshape(N * p, width), np.arange(N + 1) * p, set()
+    if not by_node(C):
         complaints.add("sensors.C", "is neither a stack N x p x n nor a sequence of one matrix a node")
         return None
     parts = [_observation(C_k, n, f"sensors[{k}].C", complaints) for k, C_k in enumerate(C)]
     if not parts:
         complaints.add("sensors", "is empty; one sensor a node was expected")
-    good = [part for part in parts if part is not None]
-    if not parts or len(good) < len(parts):
         return None
-    width = max(part.shape[1] for part in good)
-    if any(len(part) and part.shape[1] != width for part in good):
+    bad = {k for k, part in enumerate(parts) if part is None}
+    width = max((part.shape[1] for part in parts if part is not None), default=0)
+    matrices = [np.empty((0, width)) if part is None else part for part in parts]
+    if any(len(matrix) and matrix.shape[1] != width for matrix in matrices):
         complaints.add("sensors", "have different numbers of columns in C; all were expected to agree", shape=True)
         return None
-    offsets = np.concatenate([[0], np.cumsum([len(part) for part in good])])
-    return np.concatenate([part.reshape(len(part), width) for part in good]), offsets
+    offsets = np.concatenate([[0], np.cumsum([len(matrix) for matrix in matrices])])
+    return np.concatenate([matrix.reshape(len(matrix), width) for matrix in matrices]), offsets, bad
 
 
 def _stack(
@@ -117,7 +127,7 @@ def _observation(C_k: Any, n: int | None, key: str, complaints: Complaints) -> n
     return array
 
 
-def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[ndarray, ndarray] | None:
+def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[ndarray, ndarray, set[int]] | None:
     given = np.asarray(rows)
     whole = given.dtype.kind in "iu" and given.ndim == 1 and given.size >= 2
     # Compared before any conversion: an offset beyond int64 is out of range as it stands.
@@ -126,63 +136,63 @@ def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[nda
             "sensors.rows", f"is not N + 1 whole offsets that rise from 0 to {len(C)}, the number of rows of C"
         )
         return None
-    return C, given.astype(np.int64)
+    return C, given.astype(np.int64), set()
 
 
 def pack_noise(
-    R: Any, D: Any, C: ndarray, rows: ndarray, complaints: Complaints
+    R: Any, D: Any, C: ndarray, rows: ndarray, unknown: set[int], complaints: Complaints
 ) -> tuple[ndarray | None, ndarray | None]:
     """The blocks R_k and, where a node gave its factor, D_k; both flattened and concatenated.
 
     Each node gives exactly one of the two; the block of D is zero where it gave R, and D is None where all did.
+    The p_k of nodes that are `unknown` is not known, and nothing is said about their blocks.
     """
-    own = Complaints()
-    _check_choice(R, D, rows, own)
-    covariances = None if R is None else pack_blocks(R, rows, "R", own)
-    factors = None if D is None else pack_blocks(D, rows, "D", own)
-    if not own.found:
-        by_factor = np.zeros(len(rows) - 1, dtype=bool)
-        if factors is not None:
-            factor = Packed(C, rows, factors)
-            by_factor = np.ones_like(by_factor) if R is None else factor.filled
-            squares = squared(factor, own)
-            where = np.repeat(by_factor, np.diff(rows) ** 2)
-            covariances = squares if covariances is None else np.where(where, squares, covariances)
-        if covariances is None:  # relays only
-            covariances = np.empty(0)
-        if not own.found:
-            check_noise(Packed(C, rows, covariances), by_factor, own)
-    complaints.take(own)
+    unknown = unknown | _check_choice(R, D, rows, complaints)
+    covariances = None if R is None else pack_blocks(R, rows, "R", unknown, complaints)
+    factors = None if D is None else pack_blocks(D, rows, "D", unknown, complaints)
+    by_factor = np.zeros(len(rows) - 1, dtype=bool)
+    if factors is not None:
+        factor = Packed(C, rows, factors)
+        by_factor = np.array([block is not None for block in D]) if by_node(D) else ~by_factor
+        squares = squared(factor, complaints)
+        where = np.repeat(by_factor, np.diff(rows) ** 2)
+        covariances = squares if covariances is None else np.where(where, squares, covariances)
+    if covariances is None:  # relays only, or nothing that could be judged
+        return np.empty(0), None
+    check_noise(Packed(C, rows, covariances), by_factor, complaints)
     return covariances, factors if factors is not None and factors.any() else None
 
 
-def _by_node(blocks: Any) -> bool:
+def by_node(blocks: Any) -> bool:
     """Whether this is one matrix a node, rather than one array for all."""
     if isinstance(blocks, ndarray):
         return blocks.dtype == object and blocks.ndim == 1
     return isinstance(blocks, Sequence) and not isinstance(blocks, str | bytes)
 
 
-def _check_choice(R: Any, D: Any, rows: ndarray, complaints: Complaints) -> None:
-    """Complain unless every node with a sensor gives exactly one of R and D."""
+def _check_choice(R: Any, D: Any, rows: ndarray, complaints: Complaints) -> set[int]:
+    """The nodes with a sensor that do not give exactly one of R and D, after a complaint about each."""
     given = [blocks for blocks in (R, D) if blocks is not None]
     if not given and rows[-1]:
         complaints.add("sensors", "have neither R nor D; exactly one was expected")
-    if not all(map(_by_node, given)):
+    if not given or not all(map(by_node, given)):
         if len(given) == 2:
             complaints.add("sensors", "have both R and D; exactly one was expected")
-        return
+        return set()
+    bad: dict[int, str] = {}
     for k, (p, *both) in enumerate(zip(np.diff(rows).tolist(), *given, strict=False)):
         count = sum(block is not None for block in both)
         if p and count != 1:
-            found = "both R and D" if count else "neither R nor D"
-            complaints.add(f"sensors[{k}]", f"has {found}; exactly one was expected")
+            bad[k] = "both R and D" if count else "neither R nor D"
+    each = ((f"sensors[{k}]", f"has {found}; exactly one was expected") for k, found in bad.items())
+    complaints.add_each(each, len(bad))
+    return set(bad)
 
 
-def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints) -> ndarray | None:
+def pack_blocks(blocks: Any, rows: ndarray, letter: str, unknown: set[int], complaints: Complaints) -> ndarray | None:
     """Square blocks (R_k or D_k) flattened and concatenated, from that form, a stack or a sequence.
 
-    A None in a sequence becomes a block of zeros.
+    In a sequence None becomes a block of zeros; what was complained about, and what is `unknown`, an identity.
     """
     sizes = np.diff(rows)
     if isinstance(blocks, ndarray) and blocks.ndim == 1 and blocks.dtype != object:
@@ -196,7 +206,7 @@ def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints)
             return None
         stack = _stack(blocks, (len(sizes), p, p), letter, f"{len(sizes)} x {p} x {p}", complaints)
         return None if stack is None else stack.reshape(-1)
-    if not _by_node(blocks):
+    if not by_node(blocks):
         complaints.add(f"sensors.{letter}", "is neither a stack N x p x p nor a sequence of one matrix a node")
         return None
     if len(blocks) != len(sizes):
@@ -205,24 +215,25 @@ def pack_blocks(blocks: Any, rows: ndarray, letter: str, complaints: Complaints)
     flat: list[ndarray] = []
     for k, (block, p) in enumerate(zip(blocks, sizes.tolist(), strict=True)):
         key = f"sensors[{k}].{letter}"
-        if block is None:
-            flat.append(np.zeros(p * p))
+        if block is None or k in unknown:
+            flat.append((np.eye(p) if k in unknown else np.zeros((p, p))).reshape(-1))
             continue
         if p == 0 and isinstance(block, Sequence) and not block:  # R = [] beside C = []
             block = np.empty((0, 0))
         part = checks.shaped(block, (p, p), key, f"{p} x {p}, one row and column for each row of C,", complaints)
-        flat.append(np.empty(0) if part is None else part.reshape(-1))
+        flat.append((np.eye(p) if part is None else part).reshape(-1))
     return np.concatenate(flat)
 
 
 def squared(D: Packed, complaints: Complaints) -> ndarray:
-    """The blocks D_k D_k', flattened and concatenated; complains where they overflow."""
+    """The blocks D_k D_k', flattened and concatenated; complains where they overflow, and puts identities there."""
     R = np.zeros_like(D.blocks)
     for nodes, _, stack in D.groups():
         p = stack.shape[-1]
         product = gramian(stack)
         bad = ~np.isfinite(product).all(axis=(1, 2))
         complaints.add_each(((f"sensors[{k}].D", "is too large: D D' overflows") for k in nodes[bad]), int(bad.sum()))
+        product[bad] = np.eye(p)
         R[D.block_offsets[nodes, None] + np.arange(p * p)] = product.reshape(-1, p * p)
     return R
 
