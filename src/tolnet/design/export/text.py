@@ -99,10 +99,10 @@ HEADS = {
     "spectral_radius": "rho(M_k)",
     "attraction": "attraction",
     "status": "status",
-    "limits_fold": "c at the fold",
-    "limits_attracts": "c that settles",
-    "limits_exists": "c with a steady state",
-    "limits_published": "c of the published bound",
+    "limits_fold": "fold at",
+    "limits_attracts": "settles below",
+    "limits_exists": "steady state up to",
+    "limits_published": "published bound",
 }
 """The columns as people know them."""
 
@@ -120,7 +120,7 @@ def table_markdown(record: TableRecord) -> Iterator[str]:
     )
     if record.central_limits is not None:
         limits = (f"{HEADS[f'limits_{key}']} {cell(value)}" for key, value in record.central_limits.items())
-        yield f"- limits of the central filter: {', '.join(limits)}\n"
+        yield f"- limits of c for the central filter: {', '.join(limits)}\n"
     columns = record.columns
     yield f"\n| {' | '.join(HEADS[key] for key in columns)} |\n"
     yield "|" + "|".join(" --- " if key in ("name", "status") else " ---: " for key in columns) + "|\n"

@@ -1,0 +1,124 @@
+"""Where words go: answers for people or programs to standard output, everything else to standard error."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterable
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.progress import Progress
+
+PATIENCE = 1.0
+"""Seconds of work before a progress bar appears."""
+WIDE = 240
+"""Columns when nobody's terminal limits them: nothing is cut in a file or a pipe."""
+
+
+def prepare_streams() -> None:
+    """Make standard output and error take any text: what their encoding lacks is escaped; closed ones swallow."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - lives as long as we do
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def complain(lines: Iterable[str], what: str = "error") -> None:
+    """Say on standard error what is wrong, one line each."""
+    _write("stderr", (f"{what}: {line}\n" for line in lines))
+
+
+class Console:
+    """The output of one command.
+
+    `json`: standard output carries one JSON document and nothing else. `quiet`: people get only complaints.
+    """
+
+    def __init__(self, *, json: bool, quiet: bool) -> None:
+        self.json = json
+        self.quiet = quiet
+
+    def show(self, *renderables: RenderableType) -> None:
+        """Print text or rich tables for people."""
+        if self.json or self.quiet:
+            return
+        from rich.console import Console as RichConsole
+
+        width = None if sys.stdout.isatty() else WIDE
+        rich = RichConsole(file=sys.stdout, width=width, markup=False, highlight=False, emoji=False)
+        with rich.capture() as captured:
+            for renderable in renderables:
+                rich.print(renderable)
+        _write("stdout", [captured.get()])
+
+    def text(self, text: str) -> None:
+        """Print text for people exactly as it is, since it may be piped into a file."""
+        if not (self.json or self.quiet):
+            _write("stdout", [text])
+
+    def suggest(self, *commands: str) -> None:
+        """Say which commands to try next."""
+        self.show("next:", *(f"  {command}" for command in commands))
+
+    def document(self, pieces: Iterable[str]) -> None:
+        """Print a JSON document where one was asked for."""
+        if self.json:
+            _write("stdout", pieces)
+
+    def note(self, text: str) -> None:
+        """Say on standard error what a person should know."""
+        if not self.quiet:
+            _write("stderr", [f"{text}\n"])
+
+    def progress(self, what: str) -> ProgressBar:
+        """A bar on standard error for work that takes over a second, where a person looks at it."""
+        return ProgressBar(what, wanted=not self.quiet and sys.stderr.isatty())
+
+
+class ProgressBar:
+    """Called with (done, total); shows nothing until the work has taken PATIENCE seconds, and clears itself."""
+
+    def __init__(self, what: str, *, wanted: bool) -> None:
+        self._what, self._wanted = what, wanted
+        self._began = time.monotonic()
+        self._bar: Progress | None = None
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how much is done."""
+        if not self._wanted or time.monotonic() - self._began < PATIENCE:
+            return
+        if self._bar is None:
+            from rich.console import Console as RichConsole
+            from rich.progress import Progress
+
+            self._bar = Progress(console=RichConsole(file=sys.stderr), transient=True)
+            self._bar.add_task(self._what)
+            self._bar.start()
+        self._bar.update(self._bar.task_ids[0], completed=done, total=total)
+
+
+def _write(name: Literal["stdout", "stderr"], pieces: Iterable[str]) -> None:
+    """Write and flush; a reader that has left (`| head`) is no error, and hears nothing more."""
+    stream = getattr(sys, name)
+    try:
+        for piece in pieces:
+            stream.write(piece)
+        stream.flush()
+    except BrokenPipeError:
+        with open(os.devnull, "wb") as nowhere:  # noqa: PTH123
+            os.dup2(nowhere.fileno(), stream.fileno())

@@ -1,0 +1,125 @@
+"""`tolnet table`: how much model error may each node assume?"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from tolnet.cli.console import Console, complain
+from tolnet.cli.options import AsJson, Outputs, Problem, Quiet, check_outputs, choose_ambiguity, open_problem
+
+if TYPE_CHECKING:
+    from tolnet.model import Ambiguity, SensorNetwork, ToleranceTable
+
+NO_ANSWER = 4
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def table(
+    problem: Problem,
+    tolerance: Annotated[
+        float | None,
+        typer.Option("--tolerance", "-c", metavar="C", help="The network's tolerance, instead of the problem's."),
+    ] = None,
+    convention: Annotated[
+        Literal["gamma", "nats"] | None,
+        typer.Option(help="Unit of --tolerance and of the answer: gamma, or nats (half of gamma)."),
+    ] = None,
+    tau: Annotated[
+        float | None,
+        typer.Option(metavar="TAU", help="Member of the tau-divergence family, 0 to 1; 0 unless --uniform."),
+    ] = None,
+    uniform: Annotated[bool, typer.Option("--uniform", help="c_k = c at every node, instead of local ones.")] = False,
+    limits: Annotated[
+        bool, typer.Option("--limits", help="How large the tolerance of each filter may be, and why not larger.")
+    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="JSON with all that is deployed.")] = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the network coloured by tolerance (.png, .svg, .pdf)."),
+    ] = None,
+    output: Outputs = None,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """How much model error may each node assume? One tolerance c_k a node, and the filter that it gives.
+
+    -o takes .json, .csv, .npz, .parquet, .md and .h. Exit code 4: somewhere there is no answer.
+    """
+    console = Console(json=json, quiet=quiet)
+    outputs = output or []
+    _check_files(problem, outputs, plot)
+    network = open_problem(problem, console)
+    answer = _solve(network, choose_ambiguity(network, tolerance, convention, tau), uniform, console)
+
+    from tolnet import analysis
+    from tolnet.design import export
+    from tolnet.report.table import table_view
+
+    limited = analysis.tolerance_limits(network) if limits else None
+    for path in outputs:
+        export.export_table(answer, path, limits=limited, full=full)
+    if plot is not None:
+        _draw(answer, plot)
+    if json:
+        console.document(export.table_json(answer, limits=limited, full=full))
+    else:
+        console.show(*table_view(export.TableRecord.of(answer, limited)))
+        _say_what_next(console, problem, answer, [*outputs, *([plot] if plot else [])], limits)
+    if not answer.ok:
+        from tolnet.cli.reasons import offenders
+
+        complain(offenders(answer), "no answer")
+        raise typer.Exit(NO_ANSWER)
+
+
+def _check_files(problem: str, outputs: list[Path], plot: Path | None) -> None:
+    from tolnet.design.export import TABLE_SUFFIXES, check_table_path
+
+    check_outputs(outputs, TABLE_SUFFIXES, inputs=[problem])
+    for path in outputs:
+        check_table_path(path)
+    if plot is not None:
+        check_outputs([plot], PLOT_SUFFIXES, inputs=[problem])
+
+
+def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
+    from tolnet import design
+    from tolnet.model import UnsupportedError
+
+    if ambiguity.tau != 0 and not uniform:
+        raise UnsupportedError(
+            f"local tolerances are defined for tau = 0 only (tau is {ambiguity.tau:g}): add --uniform"
+        )
+    design.diffusion_matrix(network)  # a rule that this graph refuses is bad input: say so before computing
+    with console.progress("steady states") as progress:
+        return design.choose_tolerances(network, ambiguity, uniform=uniform, progress=progress)
+
+
+def _draw(answer: ToleranceTable, path: Path) -> None:
+    from tolnet.model import replacing
+    from tolnet.report.map import tolerance_map
+
+    figure = tolerance_map(answer)
+    with replacing(path) as file:
+        figure.savefig(file, format=path.suffix.lower().removeprefix("."))
+
+
+def _say_what_next(console: Console, problem: str, answer: ToleranceTable, written: list[Path], limits: bool) -> None:
+    name = shlex.quote(problem)
+    if written:
+        console.show(f"wrote {', '.join(map(str, written))}")
+    if not answer.ok:
+        lower = f"--tolerance {answer.tolerance / 2:g} --convention {answer.convention}"
+        try_next = [f"tolnet table {name} --limits", f"tolnet table {name} {lower}"]
+        console.suggest(*try_next[limits:])
+    elif not written:
+        save = "-o table.json -o table.h --plot map.png"
+        console.suggest(f"tolnet table {name} {save}", f"tolnet table {name} --limits")
+    else:
+        tables = [path for path in written if path.suffix.lower() in (".json", ".csv", ".npz")]
+        old = shlex.quote(str(tables[0])) if tables else name
+        console.suggest(f"tolnet diff {old} {name}", f"tolnet table {name} --limits")

@@ -1,0 +1,72 @@
+"""The command line in this process: what it prints, apart by stream, and its exit code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.instances import ring_projectile
+
+from tolnet import model
+from tolnet.cli import main
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What one run of the command line left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Standard output as the one JSON document that it must be."""
+        return json.loads(self.out, parse_constant=pytest.fail)
+
+
+Tolnet = Callable[..., Ran]
+
+
+@pytest.fixture
+def tolnet(capsys: pytest.CaptureFixture[str]) -> Tolnet:
+    """Run `tolnet ARGUMENTS` here and now; whatever happens, no traceback may reach the user."""
+
+    def run(*arguments: object) -> Ran:
+        capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        return Ran(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    """The ring projectile as a problem file."""
+    path = tmp_path / "ring.toml"
+    model.save(ring_projectile(), path)
+    return path
+
+
+@pytest.fixture
+def blind(tmp_path: Path) -> Path:
+    """Two states of which one is unstable: nodes 0 and 1 hear a sensor that sees it, node 2 does not."""
+    path = tmp_path / "blind.toml"
+    network = model.SensorNetwork(
+        A=[[1.1, 0.0], [0.0, 0.5]],
+        B=[[0.1, 0.0], [0.0, 0.1]],
+        C=[[[1.0, 0.0]], [[0.0, 1.0]], [[0.0, 1.0]]],
+        R=[[[0.1]], [[0.1]], [[0.1]]],
+        edges=[[0, 1]],
+        name="blind",
+        names=["gate", "yard", "hill"],
+        ambiguity=model.Ambiguity(0.01),
+    )
+    model.save(network, path)
+    return path
