@@ -25,7 +25,7 @@ ACCEPT = 1e-9
 """Largest relative defect |T_c(P) - P| / |P| of a P that is passed on as a steady state."""
 _NEAR = 0.05  # how close, in phi and log gamma, the search must come before Newton's method takes over
 _MOST_SEARCH = 60
-_SMALLEST_STRIDE = 1e-5  # in log c: where the path in c is taken to end
+_FARTHEST = 1.0  # relative change of P in one stride: P doubles on its way to infinity
 _PATH_START = 1e-7  # a tolerance so small that Newton's method gets there from the Kalman filter
 
 
@@ -141,11 +141,13 @@ class PathEnd(NamedTuple):
     iterations: Int[ndarray, " K"]
 
 
-def follow(recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndarray, " K"]) -> PathEnd:
+def follow(
+    recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndarray, " K"], *, smallest: float = 1e-5
+) -> PathEnd:
     """Follow P = T_c(P) in c from P, a steady state at about `reached`, to the tolerance, in strides of log c.
 
     A stride is doubled where Newton's method converges near its start and quartered where it does not; below
-    the smallest stride the path is taken to have ended.
+    the `smallest` stride the path is taken to have ended.
     """
     K = len(P)
     P, c = P.copy(), recursion.tolerance
@@ -161,13 +163,13 @@ def follow(recursion: Recursion, P: Float[ndarray, "K n n"], reached: Float[ndar
             ahead = np.minimum(reached[todo] * np.exp(stride[todo]), c[todo])
         attempt = newton(recursion.part(todo).at(ahead), P[todo], most=12)
         iterations[todo] += attempt.steps
-        # A jump to another branch shows as a P that is far from the last one for so small a stride.
+        # A jump to another branch shows as a P that is far from the last one.
         moved = stacked.norm(attempt.P - P[todo]) / stacked.norm(P[todo])
-        good = (attempt.residual <= ACCEPT) & (moved <= 2 * stride[todo] + 1e-3)
+        good = (attempt.residual <= ACCEPT) & (moved <= _FARTHEST)
         at = todo[good]
         P[at], reached[at] = attempt.P[good], ahead[good]
         stride[todo] = np.where(good, np.minimum(stride[todo] * 2, 2.0), stride[todo] / 4)
-        todo = todo[(reached[todo] < c[todo]) & (stride[todo] > _SMALLEST_STRIDE)]
+        todo = todo[(reached[todo] < c[todo]) & (stride[todo] > smallest)]
     return PathEnd(P, reached, started & (reached >= c), iterations)
 
 

@@ -122,6 +122,10 @@ class Derivative(NamedTuple):
     separable: bool
     """Whether q_ij = 1 / (lambda_i lambda_j), so that the derivative is K dP K' plus rank one (tau = 0)."""
 
+    def part(self, index: ndarray) -> Derivative:
+        """The members at `index`."""
+        return Derivative(*(value[index] for value in self[:-1]), separable=self.separable)
+
     def apply(self, dP: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
         """The derivative in the direction dP."""
         E = self.U.mT @ dP @ self.U
@@ -262,29 +266,34 @@ def attraction(slope: Derivative) -> Float[ndarray, " K"]:
     if n <= DENSE_UP_TO:
         return stacked.spectral_radius(slope.matrix())
     d = n * (n + 1) // 2
-    for order in (min(d, 40), min(d, 160)):
-        radius, error = _arnoldi_radius(slope, order)
-        if (error <= 1e-9 * radius).all():
-            return radius
-    return stacked.spectral_radius(slope.matrix())
+    finite = stacked.finite_members(slope.AZ) & stacked.finite_members(slope.q)
+    radius = np.full(len(finite), np.nan)
+    todo = np.flatnonzero(finite)
+    for order in (min(d, 30), min(d, 80)):
+        if todo.size:
+            radius[todo], error = _arnoldi_radius(slope.part(todo), order)
+            todo = todo[~(error <= 1e-9 * radius[todo])]
+    if todo.size:
+        radius[todo] = stacked.spectral_radius(slope.part(todo).matrix())
+    return radius
 
 
 def _arnoldi_radius(slope: Derivative, order: int) -> tuple[Float[ndarray, " K"], Float[ndarray, " K"]]:
     """Largest Ritz value of the derivative in a Krylov space of this order, and the residual of its Ritz pair."""
     K, n, _ = slope.U.shape
     start = np.random.default_rng(0).standard_normal((n, n))
-    start = np.broadcast_to(start @ start.T, (K, n, n))
-    basis = [start / stacked.norm(start)[:, None, None]]
+    basis = np.zeros((K, order + 1, n * n))
+    basis[:, 0] = (start @ start.T).ravel() / np.linalg.norm(start @ start.T)
     H = np.zeros((K, order + 1, order))
     for j in range(order):
-        w = slope.apply(basis[j])
+        w = slope.apply(basis[:, j].reshape(K, n, n)).reshape(K, n * n, 1)
+        known = basis[:, : j + 1]
         for _ in range(2):  # twice is enough
-            for i, b in enumerate(basis):
-                h = np.einsum("kij,kij->k", b, w)
-                H[:, i, j] += h
-                w = w - h[:, None, None] * b
-        H[:, j + 1, j] = stacked.norm(w)
-        basis.append(w / np.where(H[:, j + 1, j] > 0, H[:, j + 1, j], 1.0)[:, None, None])
+            h = known @ w
+            H[:, : j + 1, j] += h[:, :, 0]
+            w = w - known.mT @ h
+        H[:, j + 1, j] = np.linalg.norm(w[:, :, 0], axis=1)
+        basis[:, j + 1] = w[:, :, 0] / np.where(H[:, j + 1, j] > 0, H[:, j + 1, j], 1.0)[:, None]
     values, vectors = np.linalg.eig(H[:, :order])
     largest = np.abs(values).argmax(axis=-1)
     last = np.take_along_axis(vectors[:, -1, :], largest[:, None], axis=-1)[:, 0]

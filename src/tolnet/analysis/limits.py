@@ -17,20 +17,21 @@ All three are read off one path of steady states, from the Kalman filter at c = 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.continuation import solve_fixed_points
+from tolnet.analysis.continuation import PathEnd, follow
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, step
 from tolnet.analysis.riccati import is_valid, solve_riccati
 from tolnet.model import SensorNetwork, ToleranceLimits
 
-_SMALLEST = 1e-9
+_SMALLEST = 1e-9  # tolerance at which the walk begins
 _PER_DECADE = 2
 _REFINEMENTS = 60
 _RELATIVE = 1e-9
@@ -77,72 +78,79 @@ def tolerance_limits(
 def _limits_of(
     A: ndarray, Q: ndarray, S: Float[ndarray, "K n n"], observable: Bool[ndarray, " K"], window: int, largest: float
 ) -> dict[str, Float[ndarray, " K"]]:
+    """Walk up the grid with every filter at once, then shrink each bracket that was passed."""
     K = len(S)
-    grid = np.geomspace(_SMALLEST, largest, int(np.log10(largest / _SMALLEST) * _PER_DECADE) + 1)
-    names = ("fold", "attracts", "exists")
-    low = {name: np.zeros(K) for name in names}
-    high = {name: np.full(K, np.inf) for name in names}
-    for c in grid:  # a limit is bracketed by the last tolerance where its value is below one and the first where not
-        searching = np.flatnonzero(np.any([np.isinf(high[name]) for name in names], axis=0))
-        if not searching.size:
+    kalman = solve_riccati(A, Q, S)
+    usable = is_valid(kalman.P, np.zeros(K), kalman.residual)
+    low = {name: _Bracket(np.zeros(K), kalman.P.copy(), np.full(K, np.inf)) for name in ("fold", "attracts")}
+    exists = np.where(usable, np.inf, 0.0)
+    P, c = kalman.P.copy(), np.zeros(K)
+    walking = np.flatnonzero(usable)
+    for target in np.geomspace(_SMALLEST, largest, int(np.log10(largest / _SMALLEST) * _PER_DECADE) + 1):
+        if not walking.size:
             break
-        values = _indicators(A, Q, S[searching], np.full(len(searching), c))
-        for name in names:
-            still = np.isinf(high[name][searching])
-            within = values[name] < 1
-            low[name][searching[still & within]] = c
-            high[name][searching[still & ~within]] = c
-    limits = {}
-    for name in names:
-        limits[name] = _refine(
-            lambda index, c, name=name: _indicators(A, Q, S[index], c)[name], low[name], high[name]
-        )
-    limits["exists"] = np.where(observable, np.inf, limits["exists"])
+        recursion = Recursion(A, Q, S[walking], np.full(len(walking), target))
+        end = follow(recursion, P[walking], c[walking], smallest=_RELATIVE)
+        P[walking], c[walking] = end.P, end.reached
+        lost = walking[~end.found]
+        exists[lost] = np.where(observable[lost], np.inf, end.reached[~end.found])
+        # A path that turned back ends with the derivative's eigenvalue 1: it attracts up to there.
+        for name, value in _indicators(recursion.at(end.reached), end.P).items():
+            low[name].meet(walking, end, value)
+        open_ = np.any([np.isinf(bracket.high[walking]) for bracket in low.values()], axis=0) | ~observable[walking]
+        walking = walking[end.found & open_]
+    limits = {name: _refine(A, Q, S, name, bracket) for name, bracket in low.items()}
+    return limits | {"exists": exists, "published": published_bound(A, Q, S, window)}
+
+
+@dataclass(eq=False)
+class _Bracket:
+    """Between which tolerances an indicator passes 1, and the steady state at the lower one."""
+
+    low: Float[ndarray, " K"]
+    P: Float[ndarray, "K n n"]
+    high: Float[ndarray, " K"]
+
+    def meet(self, index: ndarray, end: PathEnd, value: Float[ndarray, " K"]) -> None:
+        """Move an end of the brackets of `index`: the path came to `end`, where the indicator has `value`."""
+        still = np.isinf(self.high[index])
+        within = still & (value < 1)
+        self.low[index[within]], self.P[index[within]] = end.reached[within], end.P[within]
+        passed = still & (~within | ~end.found)
+        self.high[index[passed]] = end.reached[passed]
+
+
+def _indicators(recursion: Recursion, P: Float[ndarray, "K n n"]) -> dict[str, Float[ndarray, " K"]]:
+    """Numbers that reach 1 at each limit."""
     with np.errstate(all="ignore"):
-        limits["published"] = published_bound(A, Q, S, window)
-    return limits
+        slope = derivative(recursion, step(recursion, P))
+        return {"fold": stacked.spectral_radius(slope.loop), "attracts": attraction(slope)}
 
 
-def _indicators(
-    A: ndarray, Q: ndarray, S: Float[ndarray, "K n n"], c: Float[ndarray, " K"]
-) -> dict[str, Float[ndarray, " K"]]:
-    """Numbers that reach 1 at each limit; 2 where there is no steady state."""
-    with np.errstate(all="ignore"):
-        recursion = Recursion(A, Q, S, c)
-        points = solve_fixed_points(recursion)
-        at = step(recursion, np.where(points.found[:, None, None], points.P, np.eye(len(A))))
-        slope = derivative(recursion, at)
-        found = points.found
-        return {
-            "fold": np.where(found, stacked.spectral_radius(slope.loop), 2.0),
-            "attracts": np.where(found, attraction(slope), 2.0),
-            "exists": np.where(found, 0.0, 2.0),
-        }
-
-
-def _refine(
-    value: Callable[[ndarray, ndarray], ndarray], low: Float[ndarray, " K"], high: Float[ndarray, " K"]
-) -> Float[ndarray, " K"]:
-    """Shrink brackets of `value` = 1 in log c: the secant where it falls inside and shrinks fast, else the middle."""
-    limit = np.where(np.isinf(high), np.inf, low)
-    todo = np.flatnonzero(np.isfinite(high) & (low > 0))
-    lo, hi = np.log(low[todo]), np.log(high[todo])
-    f_lo, f_hi = value(todo, low[todo]) - 1, value(todo, high[todo]) - 1
-    middle_next = np.zeros(len(todo), dtype=bool)
+def _refine(A: ndarray, Q: ndarray, S: Float[ndarray, "K n n"], name: str, bracket: _Bracket) -> Float[ndarray, " K"]:
+    """Shrink brackets of an indicator = 1 in log c: a secant where it shrinks fast, else the middle."""
+    limit = np.where(np.isinf(bracket.high), np.inf, bracket.low)
+    todo = np.flatnonzero(np.isfinite(bracket.high) & (bracket.low > 0) & (bracket.low < bracket.high))
+    low, high, P = bracket.low[todo], bracket.high[todo], bracket.P[todo]
+    f_low = _indicators(Recursion(A, Q, S[todo], low), P)[name] - 1
+    f_high, halve = np.full(len(todo), np.nan), np.zeros(len(todo), dtype=bool)
     for _ in range(_REFINEMENTS):
-        open_ = hi - lo > _RELATIVE
-        if not open_.any():
+        if not todo.size:
             break
-        width = hi - lo
-        cut = lo + width * np.where(middle_next, 0.5, np.clip(f_lo / (f_lo - f_hi), 0.01, 0.99))
-        f = np.zeros(len(todo))
-        f[open_] = value(todo[open_], np.exp(cut[open_])) - 1
-        below = open_ & (f < 0)
-        above = open_ & ~below
-        lo, f_lo = np.where(below, cut, lo), np.where(below, f, f_lo)
-        hi, f_hi = np.where(above, cut, hi), np.where(above, f, f_hi)
-        middle_next = hi - lo > 0.5 * width
-    limit[todo] = np.exp(lo)
+        share = np.clip(f_low / (f_low - f_high), 0.01, 0.99)
+        cut = low * (high / low) ** np.where(halve | np.isnan(share), 0.5, share)
+        recursion = Recursion(A, Q, S[todo], cut)
+        end = follow(recursion, P, low, smallest=_RELATIVE)
+        f = np.where(end.found, _indicators(recursion, end.P)[name] - 1, 1.0)
+        below, width = f < 0, np.log(high / low)
+        low, f_low = np.where(below, cut, low), np.where(below, f, f_low)
+        P = np.where(below[:, None, None], end.P, P)
+        high, f_high = np.where(below, high, cut), np.where(below, f_high, f)
+        halve = np.log(high / low) > 0.5 * width
+        limit[todo] = low
+        open_ = np.log(high / low) > _RELATIVE
+        todo, low, high, P = todo[open_], low[open_], high[open_], P[open_]
+        f_low, f_high, halve = f_low[open_], f_high[open_], halve[open_]
     return limit
 
 
