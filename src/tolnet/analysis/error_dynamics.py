@@ -28,9 +28,9 @@ from tolnet.model import (
     Status,
     SteadyState,
 )
-from tolnet.model.dynamics import psd_factor
 from tolnet.model.graph import COLUMN_SUM_TOLERANCE
 from tolnet.model.sensors import whiten
+from tolnet.model.worst_case import psd_factor
 
 
 def error_dynamics(

@@ -22,7 +22,7 @@ from tolnet.analysis.riccati import solve_riccati
 from tolnet.analysis.stacked import spectral_radius
 from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
-from tolnet.model.dynamics import psd_factor
+from tolnet.model.worst_case import psd_factor
 
 _ACCURATE = 1e-9
 """Largest relative residual of a backward recursion that counts as solved."""

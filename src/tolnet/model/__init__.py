@@ -1,7 +1,7 @@
 """The vocabulary: networks, problem files, and the results that travel between the rooms."""
 
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
-from tolnet.model.dynamics import ErrorDynamics, LeastFavourableModel, Performance
+from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
 from tolnet.model.graph import DIFFUSION_RULES
@@ -10,6 +10,7 @@ from tolnet.model.reading import load, parse, validate
 from tolnet.model.results import SteadyState, ToleranceLimits, ToleranceTable
 from tolnet.model.status import Status
 from tolnet.model.whole_files import check_writable, replacing
+from tolnet.model.worst_case import LeastFavourableModel
 from tolnet.model.writing import save
 
 __all__ = [

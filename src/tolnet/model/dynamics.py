@@ -1,4 +1,4 @@
-"""What least-favourable performance is made of: the model, the network's error dynamics, and the result."""
+"""How the errors of a network's filters move under the least favourable model, and how large they become."""
 
 from __future__ import annotations
 
@@ -11,111 +11,12 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.model.network import SensorNetwork
 from tolnet.model.results import _ReadOnly
 from tolnet.model.status import Status
+from tolnet.model.worst_case import LeastFavourableModel
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LeastFavourableModel(_ReadOnly):
-    """The worst model that the centre's ambiguity set allows, eq. (34): the nominal plant and sensors driven by
-
-        u_t = H_t e_t + L_t eps_t,   H_t = M' T (A - G C),   L_t L_t' = K_t = (I - M' X M)^-1 = I + M' T M,
-
-    with M = [B, -G D], N = M M' = Q + A Z S Z A', X = Omega_{t+1}^-1 + theta_t I and T = X (I - N X)^-1, e_t the
-    error of the centralised robust filter. u_t has m + sum p_k entries, but all follows from these n x n matrices.
-
-    Shapes: (*time, n, n) and (*time,); the steady state has no time axis. Where `status` is neither `ok` nor
-    `oscillates` there is no model: the numbers are NaN and `reason` says why. Source: eq. (34); Section 4.
-    """
-
-    network: SensorNetwork
-    tolerance: float
-    """c of the centre, on the gamma scale."""
-    theta: Float[ndarray, "*time"]
-    V: Float[ndarray, "*time n n"]
-    """V_t of the centralised filter, from which its gain at t follows."""
-    backward: Float[ndarray, "*time n n"]
-    """Omega_t^-1."""
-    tilt: Float[ndarray, "*time n n"]
-    """T_t."""
-    residual: float
-    """Of the backward recursion's steady state, relative, recomputed; 0 for a finite horizon."""
-    status: Status
-    reason: str
-
-    @property
-    def exists(self) -> bool:
-        """Whether there are numbers."""
-        return bool(np.isfinite(self.theta).all())
-
-    @property
-    def horizon(self) -> int | None:
-        """Number of steps of a time-varying model; None for the steady state."""
-        return len(self.theta) if self.theta.ndim else None
-
-    @cached_property
-    def filtered(self) -> Float[ndarray, "*time n n"]:
-        """Z = (V^-1 + S)^-1 of the centre."""
-        VS = self.V @ self.network.total_information
-        Z = np.linalg.solve(np.eye(self.network.n) + VS, self.V)
-        return (Z + Z.mT) / 2  # rounding only: the exact matrix is symmetric
-
-    @cached_property
-    def loop(self) -> Float[ndarray, "*time n n"]:
-        """A - G C = A (I + V S)^-1: the error loop of the centre under the nominal model."""
-        eye = np.eye(self.network.n)
-        return self.network.A @ np.linalg.solve(
-            eye + self.V @ self.network.total_information, np.broadcast_to(eye, self.V.shape)
-        )
-
-    @cached_property
-    def noise(self) -> Float[ndarray, "*time n n"]:
-        """N = M M' = Q + A Z S Z A': covariance of the noise in e under the nominal model."""
-        AZ = self.network.A @ self.filtered
-        return self.network.Q + AZ @ self.network.total_information @ AZ.mT
-
-    @cached_property
-    def closed_loop(self) -> Float[ndarray, "*time n n"]:
-        """A - G C + M H = (I + N T) (A - G C): the error loop of the centre under this model."""
-        return self.loop + self.noise @ self.tilt @ self.loop
-
-    @cached_property
-    def closed_noise(self) -> Float[ndarray, "*time n n"]:
-        """M K M' = N + N T N: covariance of the noise in e under this model."""
-        return self.noise + self.noise @ self.tilt @ self.noise
-
-    @cached_property
-    def error_covariance(self) -> Float[ndarray, "*time n n"]:
-        """(V^-1 - Omega^-1)^-1 = (I - V Omega^-1)^-1 V: covariance of e_t where e_0 starts with that of its time.
-
-        Its trace is the mean square deviation of the centralised robust filter; it exceeds V.
-        """
-        R = np.linalg.solve(np.eye(self.network.n) - self.V @ self.backward, self.V)
-        return (R + R.mT) / 2  # rounding only: the exact matrix is symmetric
-
-    @cached_property
-    def tilt_root(self) -> Float[ndarray, "*time n n"]:
-        """Psi with L = I + M' Psi M the symmetric square root of K, so that L eps = eps + M' Psi (M eps).
-
-        T = Y Y',  Y' N Y = U diag(d) U':  Psi = Y U diag(1 / (1 + sqrt(1 + d))) U' Y'.
-        """
-        Y = psd_factor(self.tilt)
-        d, U = np.linalg.eigh(Y.mT @ self.noise @ Y)
-        YU = Y @ U
-        return (YU / (1 + np.sqrt(1 + np.maximum(d, 0)))[..., None, :]) @ YU.mT
-
-    def __getitem__(self, t: int) -> LeastFavourableModel:
-        """The model of one instant, without time axis."""
-        at = {name: np.asarray(getattr(self, name)[t]) for name in ("theta", "V", "backward", "tilt")}
-        return replace(self, **at)
-
-    def __repr__(self) -> str:
-        when = "steady" if self.horizon is None else f"{self.horizon} steps"
-        return f"<LeastFavourableModel {self.status} ({when}): c = {self.tolerance:g}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -303,6 +204,29 @@ class ErrorDynamics(_ReadOnly):
         blocks = [[network, sparse.csr_array(coupling)], [None, sparse.csr_array(self.least_favourable_loop)]]
         return sparse.csr_array(sparse.block_array(blocks, format="csr"))
 
+    def islands(self) -> list[tuple[Int[ndarray, " k"], ErrorDynamics]]:
+        """Each group of filters that mix among themselves only, with the dynamics of those filters and e."""
+        from scipy.sparse.csgraph import connected_components
+
+        count, label = connected_components(self.mixing, directed=False)
+        if count == 1:
+            return [(np.arange(self.filters), self)]
+        order = np.argsort(label, kind="stable")
+        groups = np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1])
+        return [(group, self._part(group)) for group in groups]
+
+    def _part(self, filters: Int[ndarray, " k"]) -> ErrorDynamics:
+        with_centre = np.append(filters, self.filters)
+        return replace(
+            self,
+            loops=self.loops[filters],
+            coupling=self.coupling[filters],
+            mixing=sparse.csr_array(self.mixing[filters][:, filters]),
+            gains=self.gains[with_centre],
+            hearing=sparse.csr_array(self.hearing[with_centre]),
+            tilted=self.tilted[with_centre],
+        )
+
     def rescaled(self, unit: Float[ndarray, " n"]) -> ErrorDynamics:
         """The same dynamics with every state counted in `unit`: x_i / unit_i."""
         ratio = unit / unit[:, None]
@@ -376,14 +300,3 @@ class Performance(_ReadOnly):
 
     def __repr__(self) -> str:
         return f"<Performance {self.status}: MSD = {self.msd_db:.4f} dB, spectral radius {self.spectral_radius:.6f}>"
-
-
-def psd_factor(P: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K n n"]:
-    """Y with Y Y' = P for a symmetric positive semidefinite P, singular or badly scaled.
-
-    From the eigenvectors of P with its diagonal scaled to one, so that small states keep their digits.
-    """
-    scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
-    scale = np.where(scale > 0, scale, 1.0)
-    eigenvalues, U = np.linalg.eigh(P / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * U * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :]
