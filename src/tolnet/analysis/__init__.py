@@ -5,7 +5,7 @@ from tolnet.analysis.divergence import gamma
 from tolnet.analysis.limits import published_bound, tolerance_limits
 from tolnet.analysis.local_tolerance import local_tolerances
 from tolnet.analysis.riccati import solve_riccati
-from tolnet.analysis.steady_state import solve_steady_state, solve_steady_states
+from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady_state, solve_steady_states
 
 __all__ = [
     "Detectability",
@@ -13,6 +13,7 @@ __all__ = [
     "gamma",
     "local_tolerances",
     "published_bound",
+    "solve_local_steady_states",
     "solve_riccati",
     "solve_steady_state",
     "solve_steady_states",

@@ -46,6 +46,28 @@ def solve_steady_state(network: SensorNetwork, tolerance: float | Ambiguity | No
     )[0]
 
 
+def solve_local_steady_states(
+    network: SensorNetwork,
+    tolerances: Float[ndarray, " N"],
+    *,
+    tau: float = 0.0,
+    refused: ndarray | None = None,
+    progress: Progress | None = None,
+) -> SteadyState:
+    """The steady states of every node's filter at its own tolerance (gamma scale): a stack of N, eqs. (12), (44).
+
+    Nodes that miss a mode which does not decay come back `undetectable`, and all as `unstabilisable` where the noise
+    misses one; `refused` (N,) holds further statuses known beforehand.
+    """
+    seen = detectability(network)
+    status = np.array([_status_before(seen.stabilisable, bool(good)) for good in seen.detectable], dtype="U16")
+    if refused is not None:
+        status = np.where(status == Status.OK.value, refused, status)
+    return solve_steady_states(
+        network.A, network.Q, network.information, tolerances, tau=tau, refused=status, progress=progress
+    )
+
+
 def resolve_ambiguity(network: SensorNetwork, tolerance: float | Ambiguity | None) -> Ambiguity:
     """The ambiguity that a call means: its own, or else the network's."""
     if isinstance(tolerance, Ambiguity):

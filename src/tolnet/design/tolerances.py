@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tolnet.analysis import local_tolerances, solve_steady_state, solve_steady_states
-from tolnet.analysis.detectability import detectability
+from tolnet.analysis import local_tolerances, solve_local_steady_states, solve_steady_state
 from tolnet.analysis.steady_state import Progress, resolve_ambiguity
-from tolnet.model import Ambiguity, SensorNetwork, Status, ToleranceTable, UnsupportedError
+from tolnet.model import Ambiguity, SensorNetwork, ToleranceTable, UnsupportedError
 
 
 def choose_tolerances(
@@ -33,12 +32,6 @@ def choose_tolerances(
         )
     central = solve_steady_state(network, ambiguity)
     c = np.full(network.N, ambiguity.gamma) if uniform else local_tolerances(network, central)
-    seen = detectability(network)
-    blind = np.where(seen.detectable, Status.OK.value, Status.UNDETECTABLE.value)
-    refused = blind if seen.stabilisable else np.full(network.N, Status.UNSTABILISABLE.value)
-    if not uniform and not central.exists:
-        refused = np.where(refused == Status.OK.value, str(central.status), refused)
-    local = solve_steady_states(
-        network.A, network.Q, network.information, c, tau=ambiguity.tau, refused=refused, progress=progress
-    )
+    refused = None if uniform or central.exists else np.full(network.N, str(central.status))
+    local = solve_local_steady_states(network, c, tau=ambiguity.tau, refused=refused, progress=progress)
     return ToleranceTable(network, ambiguity.convention, central, local)
