@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +44,19 @@ def tolnet(capsys: pytest.CaptureFixture[str]) -> Tolnet:
         captured = capsys.readouterr()
         assert "Traceback" not in captured.out + captured.err
         return Ran(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def process() -> Tolnet:
+    """Run `python -m tolnet ARGUMENTS` as people do; no traceback may reach them."""
+
+    def run(*arguments: object, **options: Any) -> Ran:
+        command = [sys.executable, "-m", "tolnet", *map(str, arguments)]
+        ran = subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+        assert "Traceback" not in ran.stdout + ran.stderr
+        return Ran(ran.returncode, ran.stdout, ran.stderr)
 
     return run
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Problem = Annotated[
     str,
-    typer.Argument(metavar="PROBLEM", help="A problem file, or the name of a built-in problem.", show_default=False),
+    typer.Argument(metavar="PROBLEM", help="A problem file (.toml, .mat) or a built-in problem.", show_default=False),
 ]
 Outputs = Annotated[
     list[Path] | None,
@@ -59,8 +59,9 @@ def open_problem(name: str, console: Console) -> SensorNetwork:
     """The problem in a file or, where there is no such file, the built-in problem of that name."""
     from tolnet import model
 
-    if Path(name).exists():
-        return model.load(Path(name))
+    path = Path(name)
+    if path.exists():
+        return model.SensorNetwork.from_mat(path) if path.suffix.lower() == ".mat" else model.load(path)
     if name in model.example_names():
         console.note(f"no file {name} here: taking the built-in problem {name}")
         return model.example(name)

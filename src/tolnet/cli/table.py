@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -104,7 +105,8 @@ def _draw(answer: ToleranceTable, path: Path) -> None:
     from tolnet.report.map import tolerance_map
 
     figure = tolerance_map(answer)
-    with replacing(path) as file:
+    with replacing(path) as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a letter that the font lacks is drawn as a box
         figure.savefig(file, format=path.suffix.lower().removeprefix("."))
 
 
@@ -112,14 +114,12 @@ def _say_what_next(console: Console, problem: str, answer: ToleranceTable, writt
     name = shlex.quote(problem)
     if written:
         console.show(f"wrote {', '.join(map(str, written))}")
+    tables = [path for path in written if path.suffix.lower() in (".json", ".csv", ".npz")]
+    commands = [] if limits else [f"tolnet table {name} --limits"]
     if not answer.ok:
-        lower = f"--tolerance {answer.tolerance / 2:g} --convention {answer.convention}"
-        try_next = [f"tolnet table {name} --limits", f"tolnet table {name} {lower}"]
-        console.suggest(*try_next[limits:])
-    elif not written:
-        save = "-o table.json -o table.h --plot map.png"
-        console.suggest(f"tolnet table {name} {save}", f"tolnet table {name} --limits")
-    else:
-        tables = [path for path in written if path.suffix.lower() in (".json", ".csv", ".npz")]
-        old = shlex.quote(str(tables[0])) if tables else name
-        console.suggest(f"tolnet diff {old} {name}", f"tolnet table {name} --limits")
+        commands.append(f"tolnet table {name} --tolerance {answer.tolerance / 2:g} --convention {answer.convention}")
+    if tables:
+        commands.append(f"tolnet diff {shlex.quote(str(tables[0]))} {name}")
+    elif answer.ok:
+        commands.insert(0, f"tolnet table {name} -o table.json -o table.h --plot map.png")
+    console.suggest(*commands)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -23,16 +22,16 @@ def validate(problem: Problem, output: Outputs = None, json: AsJson = False, qui
 
     -o takes .json. Exit code 2: something is wrong.
     """
-    from tolnet import model
+    from tolnet.model import InputError
 
     console = Console(json=json, quiet=quiet)
     check_outputs(output or [], [".json"], inputs=[problem])
-    is_file = Path(problem).exists()
-    complaints = list(model.validate(Path(problem))) if is_file else []
     network = None
-    if not complaints:
+    try:
         network = open_problem(problem, console)
         complaints = _refused_by_design(network)
+    except InputError as error:
+        complaints = list(error.complaints)
     document = _document(network if not complaints else None, complaints)
     for path in output or []:
         write(path, render(document))
@@ -48,12 +47,10 @@ def validate(problem: Problem, output: Outputs = None, json: AsJson = False, qui
 def _refused_by_design(network: SensorNetwork) -> list[Complaint]:
     """What a file may say, but not of this graph: rules that need links both ways."""
     from tolnet.design import diffusion_matrix
-    from tolnet.model import Complaint, InputError, UnsupportedError
+    from tolnet.model import Complaint, UnsupportedError
 
     try:
         diffusion_matrix(network)
-    except InputError as error:
-        return list(error.complaints)
     except UnsupportedError as error:
         return [Complaint("diffusion.rule", f"is {network.diffusion!r}: {error}")]
     return []

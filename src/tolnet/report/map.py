@@ -44,8 +44,9 @@ def tolerance_map(table: ToleranceTable, *, seed: int = 0) -> Figure:
     if network.N <= NAMES_UP_TO:
         _draw_names(axes, network, xy)
     axes.margins(0.06)
+    name = (network.name or "sensor network").replace("$", r"\$")
     c = f"c = {table.tolerance:g} ({table.convention})"
-    axes.set_title(f"{network.name or 'sensor network'}: local tolerances $c_k$ for {c}", color=INK, fontsize=13)
+    axes.set_title(f"{name}: local tolerances $c_k$ for {c}", color=INK, fontsize=13)
     return figure
 
 
@@ -131,6 +132,7 @@ def _draw_names(axes: Axes, network: SensorNetwork, xy: Float[ndarray, "N 2"]) -
             fontsize=8.0 if above else 7.0,
             color=INK if above else "white",
             path_effects=halo,
+            parse_math=False,
             zorder=4,
         )
 

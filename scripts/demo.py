@@ -1,0 +1,42 @@
+"""The projectile network from its problem file to its tolerance table and map: `make demo`, or any folder by hand."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+from tolnet.cli import main
+
+
+def demo(folder: Path) -> int:
+    """Run the command line as a visitor would, in `folder`, and say what was written and what to try next."""
+    folder.mkdir(parents=True, exist_ok=True)
+    problem, table, rows, drawing = (
+        str(folder / name) for name in ("projectile.toml", "table.json", "table.csv", "map.png")
+    )
+    steps = [
+        ["example", "projectile", "-o", problem, "--quiet"],
+        ["table", problem, "-o", table, "-o", rows, "--plot", drawing],
+    ]
+    for step in steps:
+        print(f"$ tolnet {shlex.join(step)}", flush=True)
+        code = main(step)
+        if code:
+            return code
+    print("\nwritten:", *(f"  {path}" for path in (problem, table, rows, drawing)), sep="\n")
+    command, here = Path(sys.executable).with_name("tolnet"), Path.cwd()
+    tolnet = shlex.quote(str(command.relative_to(here) if command.is_relative_to(here) else command))
+    print(
+        "\ntry next:",
+        f"  {tolnet} table {shlex.quote(problem)} --limits",
+        f"  {tolnet} table {shlex.quote(problem)} --tolerance 0.06 -o {shlex.quote(str(folder / 'table.h'))}",
+        f"  {tolnet} diff {shlex.quote(table)} {shlex.quote(problem)} --tolerance 0.06",
+        f"  {tolnet} example",
+        sep="\n",
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(demo(Path(sys.argv[1] if len(sys.argv) > 1 else "demo")))

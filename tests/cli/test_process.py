@@ -1,0 +1,134 @@
+"""The command line as a process: what it imports, and how it ends when its surroundings misbehave."""
+
+from __future__ import annotations
+
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from tests.cli.conftest import Tolnet
+
+from tolnet import __version__, model
+
+HEAVY = ["casadi", "cvxpy", "matplotlib", "networkx", "numba", "pandas"]
+LISTS_HEAVY = f"""
+import sys
+from tolnet.cli import main
+code = main(sys.argv[1:])
+print(code, *[name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+
+
+def test_the_process_answers_as_the_function_does(process: Tolnet, tolnet: Tolnet, ring: Path):
+    assert process("table", ring, "--json").out == tolnet("table", ring, "--json").out
+
+
+def test_the_installed_command_is_this_one():
+    command = Path(sys.executable).with_name("tolnet")
+    ran = subprocess.run([str(command), "--version"], capture_output=True, text=True, check=True)
+    assert ran.stdout == f"tolnet {__version__}\n"
+
+
+@pytest.mark.parametrize("options", [[], ["--json", "--full"], ["-o", "t.h", "-o", "t.npz", "-o", "t.csv"]])
+def test_a_table_imports_nothing_heavy(options: list[str], ring: Path, tmp_path: Path):
+    ran = subprocess.run(
+        [sys.executable, "-c", LISTS_HEAVY, "table", str(ring), *options],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert ran.stderr.split() == ["0"]
+
+
+def test_help_imports_no_arrays():
+    program = "import sys; from tolnet.cli import main; main(['--help']); print('numpy' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[-1] == "False"
+    for command in ("example", "table", "validate", "diff"):
+        assert f" {command} " in ran.stdout
+
+
+def test_a_table_takes_less_than_two_seconds_of_processor_time(process: Tolnet):
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert process("table", "projectile").code == 0
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 2.0
+
+
+def test_a_reader_that_leaves_early_is_no_error(ring: Path, tmp_path: Path):
+    written = tmp_path / "t.json"
+    command = [sys.executable, "-m", "tolnet", "table", str(ring), "--json", "--full", "-o", str(written)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+    assert written.read_text().endswith("}\n")
+
+
+def test_closed_streams_are_no_error(ring: Path):
+    ran = subprocess.run(f'"{sys.executable}" -m tolnet table "{ring}" >&- 2>&-', shell=True, check=False)
+    assert ran.returncode == 0
+
+
+def test_an_encoding_without_our_letters_escapes_them(process: Tolnet, tmp_path: Path):
+    path = tmp_path / "süd.toml"
+    network = model.SensorNetwork(
+        A=[[0.9]], B=[[1.0]], C=[[[1.0]]], R=[[[1.0]]], edges=[], name="süd", names=["Ω"],
+        ambiguity=model.Ambiguity(0.1),
+    )  # fmt: skip
+    model.save(network, path)
+    ran = process("table", path, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert ran.code == 0
+    assert "s\\xfcd: 1 node" in ran.out
+
+
+def wait_until_arrays_are_imported(pid: int) -> None:
+    """The process is then about to work for seconds."""
+    for _ in range(600):
+        if "scipy" in Path(f"/proc/{pid}/maps").read_text():
+            return
+        time.sleep(0.1)
+    pytest.fail("the process never came to its work")
+
+
+def test_an_interrupt_ends_with_130_and_leaves_no_file(tmp_path: Path):
+    path = tmp_path / "many.toml"
+    model.save(model.example("random", 60_000, 1), path)
+    before = set(tmp_path.iterdir())
+    command = [sys.executable, "-m", "tolnet", "table", str(path), "-o", str(tmp_path / "t.json")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_until_arrays_are_imported(process.pid)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert "Traceback" not in err
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_a_full_disk_is_said(process: Tolnet, ring: Path):
+    with Path("/dev/full").open("w") as full:
+        ran = subprocess.run(
+            [sys.executable, "-m", "tolnet", "table", str(ring)], stdout=full, stderr=subprocess.PIPE, text=True,
+            check=False,
+        )  # fmt: skip
+    assert ran.returncode == 2
+    assert ran.stderr == "error: No space left on device\n"
+
+
+def test_a_bar_is_drawn_for_long_work_on_a_terminal_and_only_there(ring: Path, monkeypatch: pytest.MonkeyPatch):
+    program = "import sys; from tolnet.cli import console, main; console.PATIENCE = 0.0; main(sys.argv[1:])"
+    command = [sys.executable, "-c", program, "table", str(ring), "--json"]
+    reader, terminal = pty.openpty()
+    ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=terminal, check=True)
+    os.close(terminal)
+    assert b"steady states" in os.read(reader, 65536)
+    os.close(reader)
+    assert ran.stdout.startswith(b"{")
+    silent = subprocess.run(command, capture_output=True, check=True)
+    assert silent.stderr == b""
