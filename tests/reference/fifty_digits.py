@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mpmath import eig, matrix
 from numpy import ndarray
 from tests.reference import steady_state as naive
 from tests.reference.exact import (
@@ -79,9 +80,9 @@ def steady_state(A: ndarray, Q: ndarray, S: ndarray, c: float, digits: int = 50)
             try:
                 start = theta if here or near else mp.sqrt(2 * ahead / trace(P @ P))
                 P, theta = newton(A, Q, S, ahead, P, start, digits)
-                here = ahead
+                here, factor = ahead, min(factor * factor, mpf(100))
             except ArithmeticError:
-                factor = mp.sqrt(factor) if here else factor
+                factor = factor ** mpf(0.25) if here else factor
                 if factor < 1 + mpf("1e-6") or ahead < 1e-20:
                     raise ArithmeticError(f"the path ends near c = {mp.nstr(here, 8)}") from None
             ahead = min(goal, here * factor) if here else ahead / 100
@@ -169,8 +170,8 @@ def attraction(A: ndarray, Q: ndarray, S: ndarray, c: float, state: Exact) -> fl
             V[i, j] = V[j, i] = V[i, j] + h
             moved = advance(A, Q, S, c, V, state.theta) - base
             columns.append((moved / typical * (typical[i, j] / h))[upper])
-        J = rounded(np.stack(columns, axis=1))
-    return float(max(abs(np.linalg.eigvals(J))))
+        J = matrix(np.stack(columns, axis=1).tolist())  # for large c its entries span as many decades as c
+        return float(max(abs(x) for x in eig(J, left=False, right=False)))
 
 
 def advance(A: ndarray, Q: ndarray, S: ndarray, c: float, V: ndarray, theta: Any) -> ndarray:
