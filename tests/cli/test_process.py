@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import resource
+import select
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from tests.cli.conftest import Tolnet
 
 from tolnet import __version__, model
+from tolnet.cli.console import Console
 
 HEAVY = ["casadi", "cvxpy", "matplotlib", "networkx", "numba", "pandas"]
 LISTS_HEAVY = f"""
@@ -121,14 +123,26 @@ def test_a_full_disk_is_said(process: Tolnet, ring: Path):
     assert ran.stderr == "error: No space left on device\n"
 
 
-def test_a_bar_is_drawn_for_long_work_on_a_terminal_and_only_there(ring: Path, monkeypatch: pytest.MonkeyPatch):
-    program = "import sys; from tolnet.cli import console, main; console.PATIENCE = 0.0; main(sys.argv[1:])"
-    command = [sys.executable, "-c", program, "table", str(ring), "--json"]
+def test_a_bar_is_drawn_for_long_work_on_a_terminal(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tolnet.cli.console.PATIENCE", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
     reader, terminal = pty.openpty()
-    ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=terminal, check=True)
-    os.close(terminal)
-    assert b"steady states" in os.read(reader, 65536)
+    with os.fdopen(terminal, "w") as stream, monkeypatch.context() as patched:
+        patched.setattr(sys, "stderr", stream)
+        with Console(json=True, quiet=False).progress("counting") as progress:
+            progress(1, 4)
+            drawn = b""
+            while b"25%" not in drawn:
+                assert select.select([reader], [], [], 30)[0], "no bar appeared"
+                drawn += os.read(reader, 65536)
+        assert b"counting" in drawn
     os.close(reader)
+
+
+def test_no_bar_is_drawn_where_nobody_looks(ring: Path):
+    program = "import sys; from tolnet.cli import console, main; console.PATIENCE = 0.0; main(sys.argv[1:])"
+    ran = subprocess.run(
+        [sys.executable, "-c", program, "table", str(ring), "--json"], capture_output=True, check=True
+    )
     assert ran.stdout.startswith(b"{")
-    silent = subprocess.run(command, capture_output=True, check=True)
-    assert silent.stderr == b""
+    assert ran.stderr == b""

@@ -99,6 +99,7 @@ def test_one_way_links_refuse_averaging_rules_before_anything_is_computed(
     [
         ("missing.toml", None, "no such file"),
         ("empty.toml", b"", "empty"),
+        ("deep.toml", b"a = " + b"[" * 100_000, "nested too deeply"),
         ("binary.toml", b"\xff\xfe\x00", "UTF-8"),
     ],
 )
@@ -107,7 +108,7 @@ def test_what_is_no_problem_file_is_refused(
 ):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    ran = tolnet(command, tmp_path / name)
+    ran = tolnet(command, tmp_path / name, "-o", tmp_path / "out.json")
     assert ran.code == 2
     assert said in ran.err
     assert ran.out == ""

@@ -141,6 +141,9 @@ def test_tau_takes_uniform_tolerances_only(tolnet: Tolnet, ring: Path):
     refused = tolnet("table", ring, "--tau", 0.5)
     assert refused.code == 2
     assert "--uniform" in refused.err
+    limits = tolnet("table", ring, "--tau", 0.5, "--uniform", "--limits")
+    assert (limits.code, limits.out) == (2, "")
+    assert "--limits are defined for tau = 0 only" in limits.err
     document = tolnet("table", ring, "--tau", 0.5, "--uniform", "--json").document
     assert document["tau"] == 0.5
     assert {node["status"] for node in document["nodes"]} == {"ok"}
@@ -198,8 +201,12 @@ def test_a_mode_that_no_noise_drives_is_named(tolnet: Tolnet, tmp_path: Path):
         ambiguity=Ambiguity(0.01),
     )  # fmt: skip
     model.save(network, path)
-    ran = tolnet("table", path)
+    ran = tolnet("table", path, "--json")
     assert ran.code == 4
+    assert ran.document["central"]["theta"] is None
+    assert ran.document["nodes"][0]["tolerance"] is None
+    assert tolnet("table", path, "-o", tmp_path / "t.h").code == 4
+    assert "NAN" in (tmp_path / "t.h").read_text()
     assert "central filter: unstabilisable: the process noise does not drive all of the mode 1.25 of A" in ran.err
 
 

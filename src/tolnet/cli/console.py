@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-import time
+import threading
 from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
@@ -77,39 +77,55 @@ class Console:
             _write("stderr", [f"{text}\n"])
 
     def progress(self, what: str) -> ProgressBar:
-        """A bar on standard error for work that takes over a second, where a person looks at it."""
+        """A bar on standard error for work within it that takes over a second, where a person looks at it."""
         return ProgressBar(what, wanted=not self.quiet and sys.stderr.isatty())
 
 
 class ProgressBar:
-    """Called with (done, total); shows nothing until the work has taken PATIENCE seconds, and clears itself."""
+    """A bar that appears once the work within it has taken PATIENCE seconds, and clears itself at the end.
+
+    Called with (done, total) as the work goes on; it pulses where nothing counts the work.
+    """
 
     def __init__(self, what: str, *, wanted: bool) -> None:
         self._what, self._wanted = what, wanted
-        self._began = time.monotonic()
+        self._done = 0
+        self._total: int | None = None
+        self._lock = threading.Lock()
         self._bar: Progress | None = None
+        self._timer = threading.Timer(PATIENCE, self._appear)
+        self._timer.daemon = True
 
     def __enter__(self) -> ProgressBar:
+        if self._wanted:
+            self._timer.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._timer.cancel()
+        with self._lock:
+            self._wanted = False
+            if self._bar is not None:
+                self._bar.stop()
 
     def __call__(self, done: int, total: int) -> None:
         """Show how much is done."""
-        if not self._wanted or time.monotonic() - self._began < PATIENCE:
-            return
-        if self._bar is None:
-            from rich.console import Console as RichConsole
-            from rich.progress import Progress
+        with self._lock:
+            self._done, self._total = done, total
+            if self._bar is not None:
+                self._bar.update(self._bar.task_ids[0], completed=done, total=total)
 
-            self._bar = Progress(console=RichConsole(file=sys.stderr), transient=True)
-            self._bar.add_task(self._what)
-            self._bar.start()
-        self._bar.update(self._bar.task_ids[0], completed=done, total=total)
+    def _appear(self) -> None:
+        from rich.console import Console as RichConsole
+        from rich.progress import Progress
+
+        with self._lock:
+            if self._wanted:
+                self._bar = Progress(console=RichConsole(file=sys.stderr), transient=True)
+                self._bar.add_task(self._what, completed=self._done, total=self._total)
+                self._bar.start()
 
 
 def _write(name: Literal["stdout", "stderr"], pieces: Iterable[str]) -> None:

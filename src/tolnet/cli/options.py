@@ -30,8 +30,10 @@ def check_outputs(paths: Sequence[Path], suffixes: Iterable[str], *, inputs: Ite
     """Raise InputError unless every output has a known suffix, can be written, is given once, and is no input."""
     from tolnet.model import InputError, check_writable
 
+    if not paths:
+        return
     suffixes = tuple(suffixes)
-    taken = {path.resolve(): "is an input of this command" for name in inputs for path in files_of(Path(name))}
+    taken = {path.resolve(): "is an input of this command" for name in inputs for path in _files_of(Path(name))}
     for path in paths:
         if path.suffix.lower() not in suffixes:
             found = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
@@ -42,14 +44,14 @@ def check_outputs(paths: Sequence[Path], suffixes: Iterable[str], *, inputs: Ite
         taken[path.resolve()] = "is given twice"
 
 
-def files_of(problem: Path) -> Iterable[Path]:
-    """A problem file and the files that it names, as far as they can be told without judging it."""
+def _files_of(problem: Path) -> Iterable[Path]:
+    """An input and the side archive that it names, as far as that can be told without judging it."""
     yield problem
-    if problem.suffix.lower() != ".toml" or not problem.is_file():
+    if problem.suffix.lower() in (".mat", ".json", ".csv", ".npz") or not problem.is_file():
         return
     try:
         arrays = tomllib.loads(problem.read_text(encoding="utf-8")).get("arrays")
-    except ValueError:  # loading the problem will say what is wrong with it
+    except (ValueError, RecursionError):  # loading the problem will say what is wrong with it
         return
     if isinstance(arrays, str):
         yield problem.parent / arrays
@@ -61,7 +63,8 @@ def open_problem(name: str, console: Console) -> SensorNetwork:
 
     path = Path(name)
     if path.exists():
-        return model.SensorNetwork.from_mat(path) if path.suffix.lower() == ".mat" else model.load(path)
+        with console.progress(f"reading {name}"):
+            return model.SensorNetwork.from_mat(path) if path.suffix.lower() == ".mat" else model.load(path)
     if name in model.example_names():
         console.note(f"no file {name} here: taking the built-in problem {name}")
         return model.example(name)

@@ -54,17 +54,24 @@ def table(
     outputs = output or []
     _check_files(problem, outputs, plot)
     network = open_problem(problem, console)
-    answer = _solve(network, choose_ambiguity(network, tolerance, convention, tau), uniform, console)
+    ambiguity = choose_ambiguity(network, tolerance, convention, tau)
+    _check_family(ambiguity, uniform=uniform, limits=limits)
+    answer = _solve(network, ambiguity, uniform, console)
 
     from tolnet import analysis
     from tolnet.design import export
     from tolnet.report.table import table_view
 
-    limited = analysis.tolerance_limits(network) if limits else None
+    limited = None
+    if limits:
+        with console.progress("limits") as progress:
+            limited = analysis.tolerance_limits(network, progress=progress)
     for path in outputs:
-        export.export_table(answer, path, limits=limited, full=full)
+        with console.progress(f"writing {path}"):
+            export.export_table(answer, path, limits=limited, full=full)
     if plot is not None:
-        _draw(answer, plot)
+        with console.progress(f"drawing {plot}"):
+            _draw(answer, plot)
     if json:
         console.document(export.table_json(answer, limits=limited, full=full))
     else:
@@ -87,14 +94,20 @@ def _check_files(problem: str, outputs: list[Path], plot: Path | None) -> None:
         check_outputs([plot], PLOT_SUFFIXES, inputs=[problem])
 
 
-def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
-    from tolnet import design
+def _check_family(ambiguity: Ambiguity, *, uniform: bool, limits: bool) -> None:
+    """Refuse what is defined for Kullback-Leibler balls only, with the way out."""
     from tolnet.model import UnsupportedError
 
+    found = f"tau = 0 only (tau is {ambiguity.tau:g})"
     if ambiguity.tau != 0 and not uniform:
-        raise UnsupportedError(
-            f"local tolerances are defined for tau = 0 only (tau is {ambiguity.tau:g}): add --uniform"
-        )
+        raise UnsupportedError(f"local tolerances are defined for {found}; --uniform takes c_k = c at every node")
+    if ambiguity.tau != 0 and limits:
+        raise UnsupportedError(f"--limits are defined for {found}; leave it out")
+
+
+def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
+    from tolnet import design
+
     design.diffusion_matrix(network)  # a rule that this graph refuses is bad input: say so before computing
     with console.progress("steady states") as progress:
         return design.choose_tolerances(network, ambiguity, uniform=uniform, progress=progress)

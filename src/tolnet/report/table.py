@@ -74,7 +74,7 @@ def summary(record: TableRecord) -> str:
     """One line: how many nodes have an answer, and how their tolerances spread."""
     c, status = record.nodes["tolerance"], record.nodes["status"]
     good = int((status == Status.OK.value).sum())
-    head = f"{good} of {_count(len(c), 'node')} ok"
+    head = f"{good:,} of {_count(len(c), 'node')} ok"
     if np.isnan(c).all():
         return f"{head}; no tolerances"
     label = record.nodes.get("name", record.nodes["node"])
