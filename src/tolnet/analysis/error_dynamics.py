@@ -55,7 +55,7 @@ def error_dynamics(
             [Complaint("local", f"is a stack of {local.theta.shape}; the network has {network.N} nodes")]
         )
     mixing = _mixing(W, K, centralised)
-    heard = sparse.csr_array(np.ones((1, network.N))) if centralised else network.adjacency.T.astype(float)
+    heard = sparse.csr_array(np.ones((1, network.N)) if centralised else network.adjacency.T.astype(float))
     status, reason = _standing(network, local, model)
     V, S = local.V.reshape(K, network.n, network.n), local.S.reshape(K, network.n, network.n)
     return filter_errors(model, V, S, heard, mixing, status, reason)

@@ -117,7 +117,8 @@ def _history(
         S, heard = network.total_information[None], sparse.csr_array(np.ones((1, network.N)))
         mixing = sparse.csr_array(np.ones((1, 1)))
     else:
-        S, heard, mixing = network.information, network.adjacency.T.astype(float), sparse.csr_array(W.T)
+        S, heard = network.information, sparse.csr_array(network.adjacency.T.astype(float))
+        mixing = sparse.csr_array(W.T)
     K = len(S)
     node_msd = np.full((T + 1, K), np.nan)
     theta, tolerance = np.full((T, K), np.nan), np.full((T, K), np.nan)
