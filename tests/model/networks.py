@@ -59,9 +59,7 @@ def arguments(draw: st.DrawFn) -> dict[str, Any]:
         "name": lambda: draw(labels),
         "description": lambda: draw(labels) + "\nand more: [1,\n  2,\n] \"quoted\" 'too'",
         "ambiguity": lambda: draw(ambiguities),
-        "diffusion": lambda: draw(
-            st.sampled_from([*DIFFUSION_RULES, weights(linked, values["directed"], generator)])
-        ),
+        "diffusion": lambda: draw(st.sampled_from([*DIFFUSION_RULES, W])),
     }
     return values | {key: make() for key, make in optional.items() if draw(st.booleans())}
 

@@ -153,8 +153,13 @@ def test_missing_tables(good, table):
 
 @pytest.mark.parametrize(
     ("place", "key"),
-    [(("plant", "A"), "plant.A"), (("plant", "B"), "plant"), (("network", "edges"), "network")]
-    + [(("network", "nodes"), "network.nodes"), (("sensors", 0, "C"), "sensors[0].C")],
+    [
+        (("plant", "A"), "plant.A"),
+        (("plant", "B"), "plant"),
+        (("network", "edges"), "network"),
+        (("network", "nodes"), "network.nodes"),
+        (("sensors", 0, "C"), "sensors[0].C"),
+    ],
 )
 def test_missing_keys(good, place, key):
     mapping = copy.deepcopy(good)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import struct
-import warnings
-import zlib
+import math
 from typing import Any
 
 import numpy as np
@@ -16,19 +13,32 @@ from scipy import sparse
 from tolnet.model._checks import Complaints, by, nearest
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
+from tolnet.model.matfile import read_mat
 
-MATRICES = ("A", "B", "Q", "initial_covariance", "positions", "adjacency", "W")
+MATRICES = ("A", "B", "Q", "initial_covariance", "positions", "adjacency", "edges", "W")
 VECTORS = ("input", "initial_mean")
 PER_NODE = ("C", "R", "D")
-NUMBERS = ("dt", "directed", "tolerance", "tau")
+NUMBERS = ("dt", "tolerance", "tau")
 TEXTS = ("name", "description", "rule", "convention")
 LISTS = ("names", "states")
-KNOWN = (*MATRICES, *VECTORS, *PER_NODE, *NUMBERS, *TEXTS, *LISTS, "edges")
+MEANT = {
+    MATRICES: "a matrix of real numbers",
+    VECTORS: "a vector of real numbers",
+    PER_NODE: "a cell array or a stack of matrices",
+    NUMBERS: "a number",
+    ("directed",): "true or false",
+    TEXTS: "a text",
+    LISTS: "a cell array of texts",
+}
+LARGEST_FULL = 10**8
+"""How many numbers a sparse matrix may stand for that is needed in full."""
+
+KNOWN = tuple(name for group in MEANT for name in group)
 
 
 def arguments_of_mat(data: bytes) -> dict[str, Any]:
     """The arguments of `SensorNetwork` that the bytes of a MATLAB file give; see `SensorNetwork.from_mat`."""
-    variables = _variables(data)
+    variables = read_mat(data)
     complaints = Complaints()
     for name in variables.keys() - set(KNOWN):
         hint = f"the nearest is {nearest(name, KNOWN)!r}; save only the network's variables"
@@ -50,78 +60,47 @@ def arguments_of_mat(data: bytes) -> dict[str, Any]:
     return {**values, "digest": hashlib.sha256(data).hexdigest()}
 
 
-def _variables(data: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    malformed = (MatReadError, zlib.error, struct.error, LookupError, MemoryError, OSError, TypeError, ValueError)
-    if not data:
-        raise InputError("is empty; a MATLAB file was expected")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a variable given twice the last counts, as in MATLAB
-            content = loadmat(io.BytesIO(data), appendmat=False)
-    except NotImplementedError:
-        raise InputError("is in MATLAB's format 7.3, which is not read; save it with -v7") from None
-    except malformed as error:
-        raise InputError(f"is no MATLAB file: {error or type(error).__name__}") from None
-    return {name: value for name, value in content.items() if not name.startswith("__")}
-
-
 def _value(name: str, value: Any, complaints: Complaints) -> Any:
     """One variable in the form in which the constructor takes it; None, with a complaint, if it cannot have it."""
-    cell = isinstance(value, ndarray) and value.dtype == object
-    plain = isinstance(value, ndarray) and value.dtype.kind in "iufb"
-    if name in PER_NODE and (cell or plain):
+    if name in PER_NODE and isinstance(value, tuple | ndarray):
         return _per_node(value)
     if name in ("adjacency", "W") and sparse.issparse(value):
         return value
-    if sparse.issparse(value):
-        value, plain = sparse.csr_array(value).toarray(), True
-    if name in MATRICES or (name == "edges" and plain):
-        if plain and value.ndim == 2:
+    if sparse.issparse(value) and math.prod(value.shape) <= LARGEST_FULL:
+        value = sparse.csc_array(value).toarray()
+    if isinstance(value, ndarray):
+        if name in MATRICES and value.ndim == 2:
             return value
-        complaints.add(name, "is no matrix of real numbers")
-        return None
-    if name in VECTORS and plain and value.ndim == 2 and min(value.shape) <= 1:
-        return value.ravel()
-    if name in NUMBERS and plain and value.size == 1:
-        number = value.item()
-        return bool(number) if name == "directed" and number in (0, 1) else number
-    text = _text(value)
-    if name in TEXTS and text is not None:
-        return text
-    if name in LISTS:
-        return _texts(value, name, complaints)
-    meant = "a number" if name in NUMBERS else "a text" if name in TEXTS else "an array of real numbers"
-    found = by(value.shape) if plain else f"of type {type(value).__name__}"
-    complaints.add(name, f"is {found}; {meant} was expected")
+        if name in VECTORS and value.ndim == 2 and min(value.shape) <= 1:
+            return value.ravel()
+        if name in NUMBERS and value.size == 1:
+            return float(value.item())
+        if name == "directed" and value.size == 1 and value.item() in (0, 1):
+            return bool(value.item())
+    if isinstance(value, str) and name in TEXTS:
+        return value
+    if isinstance(value, str) and name in LISTS:  # a character matrix of one row
+        return [value]
+    if isinstance(value, tuple) and name in LISTS and all(isinstance(text, str) for text in value):
+        return value
+    meant = next(meant for group, meant in MEANT.items() if name in group)
+    complaints.add(name, f"is {_kind(value)}; {meant} was expected")
     return None
 
 
-def _per_node(value: ndarray) -> Any:
+def _kind(value: Any) -> str:
+    if isinstance(value, ndarray):
+        return by(value.shape)
+    if sparse.issparse(value):
+        return f"sparse and {by(value.shape)}"
+    return "a text" if isinstance(value, str) else "a cell array"
+
+
+def _per_node(value: tuple[Any, ...] | ndarray) -> Any:
     """A cell array as a list; p x n x N with the nodes first; p x n, to which MATLAB cuts p x n x 1, as one node."""
-    if value.dtype == object:
-        return list(value.ravel(order="F"))
+    if isinstance(value, tuple):
+        return list(value)
     return np.ascontiguousarray(np.moveaxis(value, 2, 0)) if value.ndim == 3 else [value]
-
-
-def _text(value: Any) -> str | None:
-    if isinstance(value, ndarray) and value.dtype.kind == "U" and value.size <= 1:
-        return str(value.item()) if value.size else ""
-    return None
-
-
-def _texts(value: Any, name: str, complaints: Complaints) -> list[str] | None:
-    """A cell array of texts, or the rows of a character matrix, which MATLAB fills up with blanks."""
-    if isinstance(value, ndarray) and value.dtype.kind == "U":
-        return [str(text).rstrip() for text in value.ravel()]
-    found = [_text(item) for item in value.ravel(order="F")] if isinstance(value, ndarray) else []
-    texts = [text for text in found if text is not None]
-    if not texts or len(texts) < len(found):
-        complaints.add(name, "is no cell array of texts (cellstr turns strings into one)")
-        return None
-    return texts
 
 
 def _from_zero(edges: ndarray | None, N: int, complaints: Complaints) -> ndarray | None:

@@ -127,7 +127,7 @@ class SensorNetwork:
 
     @classmethod
     def from_mat(cls, path: str | Path) -> SensorNetwork:
-        """The network in a MATLAB file (format 7 or older), whose variables carry the constructor's names.
+        """The network in a MATLAB file (saved with -v6 or -v7), whose variables carry the constructor's names.
 
         A and B or Q, n x n and n x m; C, R or D as cell arrays of one matrix a node ([] for a relay) or stacked,
         C p x n x N and R p x p x N; `edges`, E x 2 with nodes counted from 1 as MATLAB does, [from, to] where

@@ -153,7 +153,7 @@ def pack_noise(
     by_factor = np.zeros(len(rows) - 1, dtype=bool)
     if factors is not None:
         factor = Packed(C, rows, factors)
-        by_factor = np.array([block is not None for block in D]) if by_node(D) else ~by_factor
+        by_factor = ~by_factor if isinstance(D, ndarray) else np.array([block is not None for block in D or ()])
         squares = squared(factor, complaints)
         where = np.repeat(by_factor, np.diff(rows) ** 2)
         covariances = squares if covariances is None else np.where(where, squares, covariances)
