@@ -73,7 +73,7 @@ def steady_state_of_the_centre(A: ndarray, Q: ndarray, S: ndarray, c: float) -> 
 
 @pytest.mark.parametrize("seed", [0, 1, 3, 10, 16])
 def test_the_status_is_what_the_recursion_does(seed: int):
-    """`ok` where the published recursion settles, with its numbers; `oscillates` where it never does (seeds 1, 10)."""
+    """`ok` where the published recursion settles; `oscillates` where it never does (seeds 1 and 10)."""
     network = random_network(np.random.default_rng(seed), 2 + seed % 3, 8, radius=1.02, relays=0.9)
     S = np.concatenate([network.total_information[None], network.information[:2]])
     statuses = []

@@ -1,7 +1,7 @@
-"""The DAREX collection (Benner, Laub, Mehrmann 1995), from SLICOT's generator, at c = 0: residuals no worse than scipy's.
+"""The DAREX collection (Benner, Laub, Mehrmann 1995) at c = 0: residuals no worse than scipy's.
 
-In control form 0 = A'XA - X - (A'XB + S)(R + B'XB)^-1 (B'XA + S') + Q, which is a filter with A', information
-B R^-1 B' and process noise Q once R is invertible and the cross term is folded into A and Q.
+From SLICOT's generator, in control form 0 = A'XA - X - (A'XB + S)(R + B'XB)^-1 (B'XA + S') + Q. That is a filter with
+A', information B R^-1 B' and process noise Q once R is invertible and the cross term is folded into A and Q.
 """
 
 from __future__ import annotations

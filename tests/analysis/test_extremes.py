@@ -7,7 +7,7 @@ import pytest
 from numpy import ndarray
 from scipy.linalg import solve_discrete_are
 from tests.instances_random import random_network
-from tests.reference import determinants, fifty_digits
+from tests.reference import determinants, fifty_digits, recursion
 from tests.reference.exact import rounded
 from tests.reference.fifty_digits import Exact
 
@@ -89,13 +89,24 @@ def test_states_in_bad_units(seed: int, c: float):
     assert_agrees(analysis.solve_steady_state(network, c), exactly)
 
 
-@pytest.mark.parametrize("decade", range(-8, 9, 2))
+@pytest.mark.parametrize("decade", range(-8, 5, 2))
 def test_noise_of_every_size(decade: int):
     rng = np.random.default_rng(5)
     network = random_network(rng, 3, 4, noise_decades=0.5)
     S = network.total_information / 10.0**decade
     exactly = fifty_digits.steady_state(network.A, network.Q, S, 0.05)
     assert_agrees(solve_one(network.A, network.Q, S, 0.05), exactly)
+
+
+@pytest.mark.parametrize("decade", [6, 8])
+def test_noise_that_leaves_next_to_no_information(decade: int):
+    """Far beyond the fold, where 50 digits take long and the recursion does not."""
+    network = random_network(np.random.default_rng(5), 3, 4, noise_decades=0.5)
+    S = network.total_information / 10.0**decade
+    state, end = solve_one(network.A, network.Q, S, 0.05), recursion.run(network.A, network.Q, S, 0.05)
+    assert (str(state.status), end.verdict) == ("ok", "settles")
+    found = [float(state.theta), float(state.trace_P), float(state.trace_V)]
+    np.testing.assert_allclose(found, [end.theta, np.trace(end.P), np.trace(end.V)], rtol=DIGITS)
 
 
 @pytest.mark.parametrize("seed", range(4))

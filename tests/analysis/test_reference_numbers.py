@@ -1,4 +1,4 @@
-"""The ring lattice of the published example, against the reference numbers in docs/mathematics.md, to their digits."""
+"""The ring lattice after the published example, against the reference numbers of docs/mathematics.md."""
 
 from __future__ import annotations
 
