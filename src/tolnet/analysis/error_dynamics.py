@@ -86,7 +86,7 @@ def filter_errors(
     return ErrorDynamics(
         model=model,
         loops=loops,
-        coupling=E @ model.tilt @ model.loop,
+        coupling=E @ model.steering,
         least_favourable_loop=model.closed_loop,
         mixing=mixing,
         gains=np.concatenate([AZ, AZ_centre[None]]),

@@ -1,14 +1,17 @@
 """The least favourable model of the centre's ambiguity set, eq. (34), from n x n matrices alone.
 
-With M = [B, -G D], N = M M' = Q + A Z S Z A' and F = A - G C = A (I + V S)^-1, where Z = (V^-1 + S)^-1:
+With M = [B, -G D], N = M M' and F = A - G C = A (I + V S)^-1 at t, and P, V_+ = (P^-1 - theta I)^-1 at t + 1:
 
-    1.  K = (I - M' X M)^-1 = I + M' T M,    T = X + X N X + ... = X (I - N X)^-1
-    2.  H = K M' X F = M' T F,               A - G C + M H = (I + N T) F,      M K M' = N + N T N
-    3.  Omega^-1 = F' X F + H' K^-1 H = F' T F,    X_{t-1} = F' X_t (I - N X_t)^-1 F + theta I
-    4.  K > 0  <=>  every eigenvalue of N^1/2 X N^1/2 is below 1
+    1.  K = (I - M' X M)^-1 = I + M' T M,    T = (X^-1 - N)^-1,    X = Omega_+^-1 + theta I
+    2.  H = K M' X F = M' T F,    Omega^-1 = F' X F + H' K^-1 H = F' T F,    A - G C + M H = (I + N T) F
+    3.  X = P^-1 - R_+^-1, where R^-1 = V^-1 - Omega^-1 is the inverse covariance of e under the model
+    4.  P = F V F' + N, so T^-1 = P Delta^-1 P + F V F' with Delta = R_+ - P, positive definite as it stands
+    5.  line 2 turns into R = V + L Delta L', L = Z A' P^-1 (the gain of a smoother): linear in Delta
+    6.  V_+ - P = theta V_+ P, so Delta_t = theta V P + L Delta_{t+1} L', a sum of positive terms without cancellation
+    7.  e_t = L e_{t+1} + (noise) backwards, hence A - G C + M H = R_+ L' R^-1 and T F = P^-1 Delta L' R^-1 forwards
 
-Line 3 is the Riccati equation of A' = F, G = -N, Q = theta I, so its steady state comes by doubling from zero, which
-visits the iterates of the published recursion at 1, 2, 4, ... steps.
+Hence over a finite horizon the model exists for every tolerance, and its steady state exists where rho(L) < 1. L has
+the eigenvalues of A Z P^-1, which reach the unit circle at the fold: the same limit, from the other side.
 """
 
 from __future__ import annotations
@@ -18,14 +21,16 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis.divergence import inflate
-from tolnet.analysis.riccati import solve_riccati
+from tolnet.analysis.lyapunov_dense import solve_smith
 from tolnet.analysis.stacked import spectral_radius
 from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
 from tolnet.model.worst_case import psd_factor
 
-_ACCURATE = 1e-9
-"""Largest relative residual of a backward recursion that counts as solved."""
+_ACCEPTED = 1e-6
+"""Estimated relative error of R beyond which there is no answer."""
+_KNOWN = 1e-90
+"""Below this part of the largest variance, a state is known exactly: steady states have 1e-100 in the place of 0."""
 _GRID, _ROUNDS = 32, 6
 """The fold is bracketed in c by grids of this many points, that many times over."""
 
@@ -33,13 +38,13 @@ _GRID, _ROUNDS = 32, 6
 def least_favourable_model(
     network: SensorNetwork, central: SteadyState, horizon: int | None = None
 ) -> LeastFavourableModel:
-    """Solve Omega^-1 = F' X (I - N X)^-1 F, X = Omega^-1 + theta I: the model that is worst for the centre, eq. (34).
+    """Solve Omega^-1 = F' (X^-1 - N)^-1 F, X = Omega^-1 + theta I: the model that is worst for the centre, eq. (34).
 
     `central` is the centralised robust filter's steady state. With `horizon` T the model is time-varying: V_t and
     theta_t forwards from the network's initial covariance at the tolerance of `central`, t = 0..T-1, then Omega_t^-1
-    backwards from Omega_T^-1 = 0. theta = 0 gives the nominal model. No model is a status with a reason: `fold` where
-    c is at or beyond the centre's fold, `no-model` where K_t or V_t^-1 - Omega_t^-1 is not positive definite,
-    `not-converged`, or the centre's own where it has no steady state; `oscillates` is passed on, with numbers.
+    backwards from Omega_T^-1 = 0; that exists for every tolerance. theta = 0 gives the nominal model. No steady model
+    is a status with a reason: `fold` where c is at or beyond the centre's fold, `not-converged` where six digits are
+    lost to rounding, or the centre's own where it has no steady state; `oscillates` is passed on, with numbers.
     Raises UnsupportedError for tau != 0, ValueError for a horizon below 1.
     Source: eq. (34) and the recursion above it; docs/mathematics.md, section 7.
     """
@@ -55,37 +60,31 @@ def least_favourable_model(
 
 
 def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableModel:
-    A, S, V, theta = network.A, central.S, central.V, float(central.theta)
-    eye = np.eye(network.n)
-    if not spectral_radius(_loop_at_theta(A, S, V, central.theta)) < 1:
-        c = float(central.tolerance)
+    c, P, V = float(central.tolerance), central.P, central.V
+    if not spectral_radius(_loop_at_theta(network.A, central.S, V, central.theta)) < 1:
         reason = f"the tolerance {c:g} is not below the centre's fold, {fold_tolerance(network, c):.6g} (gamma scale)"
         return _none(network, central, Status.FOLD, reason)
-    F = A @ np.linalg.solve(eye + V @ S, eye)
-    N = _noise(network, V)
-    X, residual = theta * eye, 0.0
-    if theta > 0:
-        solution = solve_riccati(F.T, theta * eye, -N[None])
-        X, residual = solution.P[0], float(solution.residual[0])
-    if not residual < _ACCURATE:
-        reason = f"the backward recursion has no steady state: relative residual {residual:.3g}"
-        return _none(network, central, Status.NOT_CONVERGED, reason)
-    tilt = _tilt(X, N)
-    backward = X - theta * eye
-    missing = _why_missing(V, backward, X, N)
-    if missing is not None:
-        return _none(network, central, Status.NO_MODEL, missing)
-    return LeastFavourableModel(
+    inverse = _inverse(P)
+    L = central.filtered @ network.A.T @ inverse
+    Delta = solve_smith(L, _growth(central.theta, V, P)).X
+    R = P + Delta
+    model = LeastFavourableModel(
         network=network,
-        tolerance=float(central.tolerance),
-        theta=np.asarray(theta),
+        tolerance=c,
+        theta=central.theta,
         V=V,
-        backward=F.T @ tilt @ F,
-        tilt=tilt,
-        residual=residual,
+        error_covariance=R,
+        tilt=_tilt(inverse, _loop(network, V), V, Delta),
+        steering=inverse @ Delta @ L.T @ _inverse(R),
         status=Status(str(central.status)),
         reason="" if central.settles else "the centralised filter never settles on its steady state",
     )
+    correction, variance = np.diagonal(solve_smith(model.closed_loop, model.defect).X), np.diagonal(R)
+    error = float(np.max(np.abs(correction) / np.maximum(variance, _KNOWN * variance.max())))
+    if not error <= _ACCEPTED:
+        reason = f"the covariance of e has an estimated relative error of {error:.2g} at the tolerance {c:g}"
+        return _none(network, central, Status.NOT_CONVERGED, reason)
+    return model
 
 
 def _none(network: SensorNetwork, central: SteadyState, status: Status, reason: str) -> LeastFavourableModel:
@@ -95,42 +94,82 @@ def _none(network: SensorNetwork, central: SteadyState, status: Status, reason: 
         tolerance=float(central.tolerance),
         theta=np.asarray(np.nan),
         V=nan,
-        backward=nan,
+        error_covariance=nan,
         tilt=nan,
-        residual=np.nan,
+        steering=nan,
         status=status,
         reason=reason,
     )
 
 
-def _noise(network: SensorNetwork, V: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
-    """N = Q + A Z S Z A'."""
-    A, S = network.A, network.total_information
-    Z = np.linalg.solve(np.eye(network.n) + V @ S, V)
-    return network.Q + A @ Z @ S @ Z.T @ A.T
+def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourableModel:
+    n, A, Q, S = network.n, network.A, network.Q, network.total_information
+    eye = np.eye(n)
+    P, V, Z, theta = np.full((T + 1, n, n), np.nan), np.empty((T + 1, n, n)), np.empty((T, n, n)), np.empty(T)
+    V[0] = network.initial_covariance
+    for t in range(T):  # eq. (4)
+        Z[t] = np.linalg.solve(eye + V[t] @ S, V[t])
+        Z[t] = (Z[t] + Z[t].T) / 2  # rounding only: the exact matrix is symmetric
+        P[t + 1] = A @ Z[t] @ A.T + Q
+        eigenvalues, U = np.linalg.eigh(P[t + 1])
+        inflation = inflate(np.maximum(eigenvalues, 0)[None], np.array([c]))
+        theta[t] = inflation.theta[0]
+        V[t + 1] = (U * (eigenvalues * (1 + inflation.excess[0]))) @ U.T
+    R, tilt, steering = np.empty((3, T, n, n))
+    Delta = _growth(theta[T - 1], V[T], P[T])
+    for t in reversed(range(T)):
+        inverse = _inverse(P[t + 1])
+        tilt[t] = _tilt(inverse, _loop(network, V[t]), V[t], Delta)
+        L = Z[t] @ A.T @ inverse
+        grown = L @ Delta @ L.T
+        R[t] = V[t] + (grown + grown.T) / 2  # rounding only: the exact matrix is symmetric
+        steering[t] = inverse @ Delta @ L.T @ _inverse(R[t])
+        if t > 0:
+            Delta = (grown + grown.T) / 2 + _growth(theta[t - 1], V[t], P[t])
+    return LeastFavourableModel(
+        network=network,
+        tolerance=c,
+        theta=theta,
+        V=V[:T],
+        error_covariance=R,
+        tilt=tilt,
+        steering=steering,
+        status=Status.OK,
+        reason="",
+    )
 
 
-def _tilt(X: Float[ndarray, "n n"], N: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
-    """T = X (I - N X)^-1 = (I - X N)^-1 X, symmetric."""
-    T = np.linalg.solve(np.eye(len(X)) - X @ N, X)
+def _loop(network: SensorNetwork, V: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
+    """F = A - G C = A (I + V S)^-1."""
+    eye = np.eye(network.n)
+    return network.A @ np.linalg.solve(eye + V @ network.total_information, eye)
+
+
+def _growth(theta: float | ndarray, V: Float[ndarray, "n n"], P: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
+    """V - P = theta V P, without the cancellation."""
+    growth = theta * V @ P
+    return (growth + growth.T) / 2
+
+
+def _inverse(P: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
+    """P^-1; on the range of P where it is singular, which says that a state is known exactly."""
+    variance = np.diagonal(P)
+    scale = np.sqrt(np.where(variance > _KNOWN * variance.max(), variance, 1.0))
+    scaled = P / (scale[:, None] * scale)
+    eigenvalues, U = np.linalg.eigh(scaled)
+    kept = eigenvalues > len(P) * np.finfo(float).eps * eigenvalues[-1]
+    inverse = np.linalg.inv(scaled) if kept.all() else (U[:, kept] / eigenvalues[kept]) @ U[:, kept].T
+    return inverse / (scale[:, None] * scale)
+
+
+def _tilt(
+    inverse: Float[ndarray, "n n"], F: Float[ndarray, "n n"], V: Float[ndarray, "n n"], Delta: Float[ndarray, "n n"]
+) -> Float[ndarray, "n n"]:
+    """T = (P Delta^-1 P + F V F')^-1 = P^-1 D (I + G G')^-1 D' P^-1 with Delta = D D', V = U U', G = D' P^-1 F U."""
+    D = psd_factor(Delta)
+    H, G = inverse @ D, D.T @ inverse @ F @ psd_factor(V)
+    T = H @ np.linalg.solve(np.eye(len(V)) + G @ G.T, H.T)
     return (T + T.T) / 2  # rounding only: the exact matrix is symmetric
-
-
-def _why_missing(V: ndarray, backward: ndarray, X: ndarray, N: ndarray) -> str | None:
-    """What is not positive definite, in words; None where the model exists."""
-    largest = _largest_of_product(N, X)
-    if not largest < 1:
-        return f"K is not positive definite: M' X M has the eigenvalue {largest:.6g}, not below 1"
-    largest = _largest_of_product(V, backward)
-    if not largest < 1:
-        return f"V^-1 - Omega^-1 is not positive definite: V Omega^-1 has the eigenvalue {largest:.6g}, not below 1"
-    return None
-
-
-def _largest_of_product(P: ndarray, X: ndarray) -> float:
-    """Largest eigenvalue of P X, both symmetric and P positive semidefinite."""
-    Y = psd_factor(P)
-    return float(np.linalg.eigvalsh(Y.T @ X @ Y)[-1])
 
 
 def fold_tolerance(network: SensorNetwork, above: float) -> float:
@@ -155,51 +194,3 @@ def _loop_at_theta(
     """A Z P^-1 = A (I + V S)^-1 (I + theta V), the closed loop of the Riccati equation at fixed theta."""
     eye = np.eye(len(A))
     return A @ np.linalg.solve(eye + V @ S, eye + theta[..., None, None] * V)
-
-
-def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourableModel:
-    n, A, Q, S = network.n, network.A, network.Q, network.total_information
-    eye = np.eye(n)
-    V, theta = np.empty((T + 1, n, n)), np.empty(T)
-    V[0] = network.initial_covariance
-    for t in range(T):  # eq. (4)
-        P = A @ np.linalg.solve(eye + V[t] @ S, V[t]) @ A.T + Q
-        eigenvalues, U = np.linalg.eigh((P + P.T) / 2)
-        inflation = inflate(np.maximum(eigenvalues, 0)[None], np.array([c]))
-        theta[t] = inflation.theta[0]
-        V[t + 1] = (U * (eigenvalues * (1 + inflation.excess[0]))) @ U.T
-    backward, tilt = np.zeros((T + 1, n, n)), np.empty((T, n, n))
-    for t in reversed(range(T)):
-        F, N = A @ np.linalg.solve(eye + V[t] @ S, eye), _noise(network, V[t])
-        X = backward[t + 1] + theta[t] * eye
-        tilt[t] = _tilt(X, N)
-        backward[t] = F.T @ tilt[t] @ F
-        missing = _why_missing(V[t], backward[t], X, N)
-        if missing is not None:
-            return _no_horizon(network, c, T, f"at t = {t} of {T}, {missing}")
-    return LeastFavourableModel(
-        network=network,
-        tolerance=c,
-        theta=theta,
-        V=V[:T],
-        backward=backward[:T],
-        tilt=tilt,
-        residual=0.0,
-        status=Status.OK,
-        reason="",
-    )
-
-
-def _no_horizon(network: SensorNetwork, c: float, T: int, reason: str) -> LeastFavourableModel:
-    nan = np.full((T, network.n, network.n), np.nan)
-    return LeastFavourableModel(
-        network=network,
-        tolerance=c,
-        theta=np.full(T, np.nan),
-        V=nan,
-        backward=nan,
-        tilt=nan,
-        residual=np.nan,
-        status=Status.NO_MODEL,
-        reason=reason,
-    )

@@ -24,6 +24,8 @@ _WANTED = 1e-8
 """Estimated relative error of the worst MSD_k at which an iteration stops."""
 _ACCEPTED = 1e-6
 """Beyond this there is no answer: six digits are promised."""
+_SAFETY = 10
+"""A correction is itself computed in doubles."""
 _DENSE: dict[str, Callable[[ndarray, ndarray], dense.DenseSolution]] = {
     "smith": dense.solve_smith,
     "scipy": dense.solve_scipy,
@@ -165,7 +167,7 @@ def _dense(dynamics: ErrorDynamics, method: str) -> _Answer:
     error = np.inf
     while np.isfinite(X).all():
         correction = dense.solve_smith(F, defect).X
-        before, error = error, float(np.abs(_traces(dynamics, correction) / _traces(dynamics, X)).max())
+        before, error = error, _SAFETY * float(np.abs(_traces(dynamics, correction) / _traces(dynamics, X)).max())
         if method != "smith" or not error < 0.25 * before:
             break
         X = X + correction

@@ -219,6 +219,7 @@ def _assemble(columns: _Columns, tail: _Tail) -> ProjectedSolution:
     residual = columns.probe.residual(columns.image + VX @ (tail.V.T @ columns.probe.both))
     traces = np.trace(blocks, axis1=1, axis2=2)
     error = tail.amplification * residual * traces.mean() / traces.min() if traces.min() > 0 else np.inf
+    error *= 1 if residual <= _FLOOR else _SAFETY  # a truncation may favour single nodes, rounding does not
     blocks = (blocks + blocks.mT) / 2  # rounding only: the exact blocks are symmetric
     return ProjectedSolution(blocks, residual, float(error), columns.steps, tail.V.shape[1])
 

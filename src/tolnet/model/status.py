@@ -22,8 +22,6 @@ class Status(StrEnum):
     """A mode of A on or outside the unit circle is not driven by the process noise."""
     FOLD = "fold"
     """The centre's tolerance is at or beyond its fold: the least favourable model has no steady state (section 7)."""
-    NO_MODEL = "no-model"
-    """No least favourable model exists over this horizon: K_t or V_t^-1 - Omega_t^-1 is not positive definite."""
     UNSTABLE = "unstable"
     """The error dynamics are not Schur: errors grow without bound."""
     NOT_CONVERGED = "not-converged"

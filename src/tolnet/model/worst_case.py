@@ -33,12 +33,13 @@ class LeastFavourableModel(_ReadOnly):
     theta: Float[ndarray, "*time"]
     V: Float[ndarray, "*time n n"]
     """V_t of the centralised filter, from which its gain at t follows."""
-    backward: Float[ndarray, "*time n n"]
-    """Omega_t^-1."""
+    error_covariance: Float[ndarray, "*time n n"]
+    """R_t = (V_t^-1 - Omega_t^-1)^-1: covariance of e_t, where e_0 has that of its time. It exceeds V_t; its trace in
+    the steady state is the mean square deviation of the centralised robust filter."""
     tilt: Float[ndarray, "*time n n"]
     """T_t."""
-    residual: float
-    """Of the backward recursion's steady state, relative, recomputed; 0 for a finite horizon."""
+    steering: Float[ndarray, "*time n n"]
+    """T_t (A - G C), so that H_t = M' times this."""
     status: Status
     reason: str
 
@@ -75,8 +76,8 @@ class LeastFavourableModel(_ReadOnly):
 
     @cached_property
     def closed_loop(self) -> Float[ndarray, "*time n n"]:
-        """A - G C + M H = (I + N T) (A - G C): the error loop of the centre under this model."""
-        return self.loop + self.noise @ self.tilt @ self.loop
+        """A - G C + M H = A - G C + N T (A - G C): the error loop of the centre under this model."""
+        return self.loop + self.noise @ self.steering
 
     @cached_property
     def closed_noise(self) -> Float[ndarray, "*time n n"]:
@@ -84,13 +85,24 @@ class LeastFavourableModel(_ReadOnly):
         return self.noise + self.noise @ self.tilt @ self.noise
 
     @cached_property
-    def error_covariance(self) -> Float[ndarray, "*time n n"]:
-        """(V^-1 - Omega^-1)^-1 = (I - V Omega^-1)^-1 V: covariance of e_t where e_0 starts with that of its time.
+    def backward(self) -> Float[ndarray, "*time n n"]:
+        """Omega_t^-1 = (A - G C)' T (A - G C)."""
+        return self.loop.mT @ self.steering
 
-        Its trace is the mean square deviation of the centralised robust filter; it exceeds V.
-        """
-        R = np.linalg.solve(np.eye(self.network.n) - self.V @ self.backward, self.V)
-        return (R + R.mT) / 2  # rounding only: the exact matrix is symmetric
+    @cached_property
+    def defect(self) -> Float[ndarray, "*steps n n"]:
+        """F R F' + noise - R_next for the closed loop F: rounding. Over time, one step less than the model has."""
+        F, noise, R = self.closed_loop, self.closed_noise, self.error_covariance
+        if self.horizon is None:
+            return F @ R @ F.mT + noise - R
+        return F[:-1] @ R[:-1] @ F[:-1].mT + noise[:-1] - R[1:]
+
+    @cached_property
+    def residual(self) -> float:
+        """|defect| / |R_next|, the worst over time."""
+        R = self.error_covariance if self.horizon is None else self.error_covariance[1:]
+        sizes = np.linalg.norm(self.defect, axis=(-1, -2)) / np.linalg.norm(R, axis=(-1, -2))
+        return float(np.max(sizes, initial=0.0))
 
     @cached_property
     def tilt_root(self) -> Float[ndarray, "*time n n"]:
@@ -105,7 +117,10 @@ class LeastFavourableModel(_ReadOnly):
 
     def __getitem__(self, t: int) -> LeastFavourableModel:
         """The model of one instant, without time axis."""
-        at = {name: np.asarray(getattr(self, name)[t]) for name in ("theta", "V", "backward", "tilt")}
+        at = {
+            name: np.asarray(getattr(self, name)[t])
+            for name in ("theta", "V", "error_covariance", "tilt", "steering")
+        }
         return replace(self, **at)
 
     def __repr__(self) -> str:
