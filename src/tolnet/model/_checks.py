@@ -124,12 +124,21 @@ def positive(matrix: ndarray, key: str, complaints: Complaints, *, definite: boo
         complaints.add(key, f"is not positive {word}: [{i}][{i}] is {float(diagonal[i])!r}")
         return
     smallest = float(smallest_scaled_eigenvalue(matrix[None])[0])
-    rounding = len(matrix) * np.finfo(float).eps
-    if smallest <= rounding if definite else smallest < -10 * rounding:
+    margin = cholesky_margin(len(matrix))
+    if smallest <= margin if definite else smallest < -margin:
         complaints.add(
             key,
             f"is not positive {word}: scaled to a unit diagonal, its smallest eigenvalue is {smallest:.3g}",
         )
+
+
+def cholesky_margin(p: int) -> float:
+    """How far from zero that eigenvalue must be for a Cholesky factorisation in doubles to succeed.
+
+    Source: N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., Theorem 10.7, twice over since
+    the eigenvalue is itself rounded.
+    """
+    return p * (p + 1) * float(np.finfo(float).eps)
 
 
 def smallest_scaled_eigenvalue(stack: ndarray) -> ndarray:

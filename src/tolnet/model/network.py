@@ -199,7 +199,7 @@ class SensorNetwork:
 
     @cached_property
     def own_information(self) -> Float[ndarray, "N n n"]:
-        """C_k' R_k^-1 C_k of each node alone; zero for a relay."""
+        """C_k' R_k^-1 C_k of each node alone; zero for a relay. Raises InputError where it overflows."""
         return frozen(sensors.information(self.sensors, self.n))
 
     @cached_property

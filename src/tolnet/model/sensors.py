@@ -252,7 +252,7 @@ def check_noise(R: Packed, by_factor: ndarray, complaints: Complaints) -> None:
         p = stack.shape[-1]
         bad = (stack != stack.mT).any(axis=(1, 2)) | (np.diagonal(stack, axis1=1, axis2=2) <= 0).any(axis=1)
         if p > 1:
-            bad |= checks.smallest_scaled_eigenvalue(stack) <= p * np.finfo(float).eps
+            bad |= checks.smallest_scaled_eigenvalue(stack) <= checks.cholesky_margin(p)
         for i in np.flatnonzero(bad):
             wrong += 1
             key = f"sensors[{nodes[i]}]"
@@ -267,11 +267,19 @@ def check_noise(R: Packed, by_factor: ndarray, complaints: Complaints) -> None:
 
 
 def information(R: Packed, n: int) -> Float[ndarray, "N n n"]:
-    """C_k' R_k^-1 C_k of every node, stacked; zero for relays. Assumes every R_k positive definite."""
+    """C_k' R_k^-1 C_k of every node, stacked; zero for relays. Assumes every R_k positive definite.
+
+    Raises InputError where it overflows.
+    """
     S = np.zeros((len(R.rows) - 1, n, n))
     for nodes, C, stack in R.groups():
-        Y = whiten(C, stack)
-        S[nodes] = Y.mT @ Y
+        with np.errstate(over="ignore", invalid="ignore"):
+            Y = whiten(C, stack)
+            S[nodes] = Y.mT @ Y
+    complaints, bad = Complaints(), np.flatnonzero(~np.isfinite(S).all(axis=(1, 2)))
+    each = ((f"sensors[{k}]", "has C too large for its R: C' R^-1 C overflows") for k in bad)
+    complaints.add_each(each, bad.size)
+    complaints.raise_if_any()
     return S
 
 

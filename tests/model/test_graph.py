@@ -1,0 +1,205 @@
+"""Who hears whom: edges, matrices, networkx graphs and GraphML all mean the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import networkx
+import numpy as np
+import pytest
+import tomli_w
+from scipy import sparse
+
+from tolnet import model
+from tolnet.model import InputError, SensorNetwork
+
+
+def network(N: int = 3, **graph) -> SensorNetwork:
+    return SensorNetwork(A=[[0.5]], B=[[1.0]], C=np.ones((N, 1, 1)), R=np.ones((N, 1, 1)), **graph)
+
+
+ONE_WAY = np.array([[1, 1, 0], [0, 1, 1], [0, 0, 1]], dtype=bool)
+"""0 -> 1 -> 2: node 1 hears 0, node 2 hears 1."""
+
+
+@pytest.mark.parametrize(
+    "graph",
+    [
+        {"edges": [[0, 1], [1, 2]], "directed": True},
+        {"edges": np.array([[1, 2], [0, 1]], dtype=np.uint8), "directed": True},
+        {"adjacency": [[0, 1, 0], [0, 0, 1], [0, 0, 0]]},
+        {"adjacency": np.array([[0, 2.5, 0], [0, 0, -1], [0, 0, 0]])},
+        {"adjacency": sparse.coo_array(([1, 1], ([0, 1], [1, 2])), shape=(3, 3))},
+        {"adjacency": sparse.csc_matrix(ONE_WAY)},
+        {"adjacency": networkx.DiGraph([(0, 1), (1, 2)])},
+        {"adjacency": networkx.MultiDiGraph([(0, 1), (0, 1), (1, 2)])},
+        {"adjacency": networkx.DiGraph([("a", "b"), ("b", "c")])},
+    ],
+)
+def test_one_way_links(graph):
+    own = network(**graph)
+    np.testing.assert_array_equal(own.adjacency.toarray(), ONE_WAY)
+    assert own.directed
+    assert [own.neighbours(k).tolist() for k in range(3)] == [[0], [0, 1], [1, 2]]
+    assert own.degree.tolist() == [1, 2, 2]
+    assert own.links.tolist() == [[0, 1], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    "graph",
+    [
+        {"edges": [[0, 1], [2, 1]]},
+        {"edges": [[0, 1], [1, 2], [2, 2]]},
+        {"adjacency": ONE_WAY | ONE_WAY.T},
+        {"adjacency": sparse.csr_array(ONE_WAY | ONE_WAY.T)},
+        {"adjacency": networkx.path_graph(3)},
+        {"adjacency": networkx.Graph([(0, 1), (1, 2)], weight=0.0)},
+    ],
+)
+def test_links_that_work_both_ways(graph):
+    own = network(**graph)
+    np.testing.assert_array_equal(own.adjacency.toarray(), ONE_WAY | ONE_WAY.T)
+    assert not own.directed
+    assert own.links.tolist() == [[0, 1], [1, 2]]
+
+
+def test_nodes_stand_in_the_order_of_the_graph():
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(["z", "a", "m"])
+    graph.add_edge("m", "z")
+    own = network(adjacency=graph)
+    assert own.links.tolist() == [[2, 0]]
+    assert own.names == ("z", "a", "m")
+
+
+def test_a_graph_brings_positions_and_names():
+    graph = networkx.path_graph(3)
+    networkx.set_node_attributes(graph, {k: (0.5 * k, 1.0) for k in graph}, "pos")
+    networkx.set_node_attributes(graph, {k: f"node {k}" for k in graph}, "name")
+    own = network(adjacency=graph)
+    assert own.positions is not None
+    assert own.positions.tolist() == [[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]]
+    assert own.names == ("node 0", "node 1", "node 2")
+    told = network(adjacency=graph, positions=np.zeros((3, 2)), names=["a", "b", "c"])
+    assert told.positions is not None
+    assert not told.positions.any()
+    assert told.names == ("a", "b", "c")
+
+
+@pytest.mark.parametrize("attributes", [("x", "y"), ("Longitude", "Latitude")])
+def test_coordinates_in_two_attributes(attributes):
+    graph = networkx.path_graph(3)
+    for axis, key in enumerate(attributes):
+        networkx.set_node_attributes(graph, {k: str(k + axis) for k in graph}, key)
+    positions = network(adjacency=graph).positions
+    assert positions is not None
+    assert positions.tolist() == [[0.0, 1.0], [1.0, 2.0], [2.0, 3.0]]
+
+
+@pytest.mark.parametrize(
+    "pos", [None, (1.0,), (1.0, float("nan")), ("a", "b"), {0: 1}, (1.0, 2.0, 3.0), (10**400, 0)]
+)
+def test_positions_of_some_nodes_are_no_positions(pos):
+    graph = networkx.path_graph(3)
+    networkx.set_node_attributes(graph, {0: pos, 1: (0.0, 0.0), 2: (0.0, 0.0)}, "pos")
+    assert network(adjacency=graph).positions is None
+
+
+def test_a_graph_of_another_size_is_refused():
+    with pytest.raises(InputError, match="network has a graph of 4 nodes; there are 3 sensors"):
+        network(adjacency=networkx.path_graph(4))
+    with pytest.raises(InputError, match=r"network\.adjacency is 2 x 2; there are 3 sensors"):
+        network(adjacency=np.eye(2))
+
+
+@pytest.mark.parametrize("adjacency", ["x", 3, [[1], [1, 2]], np.array([["a"]]), np.ones((3, 3, 3)), [[1j] * 3] * 3])
+def test_what_is_no_graph_is_refused(adjacency):
+    with pytest.raises(InputError, match=r"network\.adjacency is no matrix of numbers and no networkx graph"):
+        network(adjacency=adjacency)
+
+
+def test_a_matrix_with_a_hole_is_refused():
+    with pytest.raises(InputError, match=r"network\.adjacency has a value that is not a finite number"):
+        network(adjacency=np.diag([1.0, np.nan, 1.0]))
+
+
+def problem_with(folder: Path, data: bytes, **keys) -> Path:
+    (folder / "g.graphml").write_bytes(data)
+    problem = {
+        "schema": "tolnet.problem/1",
+        "plant": {"A": [[0.5]], "B": [[1.0]]},
+        "network": {"graphml": "g.graphml", **keys},
+        "sensors": [{"C": [[1.0]], "R": [[1.0]]}] * 3,
+    }
+    path = folder / "p.toml"
+    path.write_bytes(tomli_w.dumps(problem).encode())
+    return path
+
+
+def graphml(graph: networkx.Graph, folder: Path) -> bytes:
+    networkx.write_graphml(graph, folder / "g.graphml")
+    return (folder / "g.graphml").read_bytes()
+
+
+def test_graphml(tmp_path):
+    graph = networkx.DiGraph()
+    graph.add_node("n0", x=0.5, y=0.0, label="Oslo")
+    graph.add_node("n1", x=1.5, y=0.0, label="Bergen")
+    graph.add_node("n2", x=2.5, y=1.0, label="Narvik")
+    graph.add_edges_from([("n0", "n1"), ("n1", "n2")])
+    data = graphml(graph, tmp_path)
+    own = model.load(problem_with(tmp_path, data))
+    np.testing.assert_array_equal(own.adjacency.toarray(), ONE_WAY)
+    assert own.directed
+    assert own.names == ("Oslo", "Bergen", "Narvik")
+    assert own.positions is not None
+    assert own.positions.tolist() == [[0.5, 0.0], [1.5, 0.0], [2.5, 1.0]]
+    other = model.load(problem_with(tmp_path, data.replace(b"Narvik", b"Narwik")))
+    assert own.digest != other.digest
+    assert model.load(problem_with(tmp_path, data, nodes=3, directed=True, names=["a", "b", "c"])).names == (
+        "a",
+        "b",
+        "c",
+    )
+
+
+HEAD = b'<graphml xmlns="http://graphml.graphdrawing.org/xmlns"><graph edgedefault="undirected">'
+NODES = b'<node id="a"/><node id="b"/><node id="c"/>'
+TAIL = b"</graph></graphml>"
+
+
+def test_undirected_graphml_without_attributes(tmp_path):
+    own = model.load(problem_with(tmp_path, HEAD + NODES + b'<edge source="b" target="a"/>' + TAIL, directed=False))
+    assert own.links.tolist() == [[0, 1]]
+    assert own.names == ("a", "b", "c")
+    assert own.positions is None
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is no GraphML: no element found"),
+        (b"<graphml", "is no GraphML: "),
+        (b"<html/>", "is no GraphML: file not successfully read as graphml"),
+        (
+            HEAD + NODES + b'<edge source="a" target="q"/>' + TAIL,
+            "has an edge to the node 'q', which it does not have",
+        ),
+        (HEAD + NODES + b'<edge source="a"/>' + TAIL, "has an edge to the node 'None', which it does not have"),
+        (HEAD + NODES + b"<hyperedge/>" + TAIL, "is no GraphML: GraphML reader doesn't support hyperedges"),
+        (HEAD + TAIL, "has no nodes"),
+    ],
+)
+def test_bad_graphml(tmp_path, data, message):
+    with pytest.raises(InputError, match=rf"p\.toml: network\.graphml names 'g\.graphml', which {message}"):
+        model.load(problem_with(tmp_path, data))
+
+
+def test_graphml_that_contradicts(tmp_path):
+    data = HEAD + NODES + TAIL
+    with pytest.raises(InputError, match=r"network\.directed is true; 'g\.graphml' says the contrary"):
+        model.load(problem_with(tmp_path, data, directed=True))
+    with pytest.raises(InputError, match="network has a graph of 4 nodes; there are 3 sensors"):
+        model.load(problem_with(tmp_path, data.replace(b"</graph>", b'<node id="d"/></graph>')))
+    with pytest.raises(InputError, match=r"network\.graphml names 'none\.graphml', which does not exist"):
+        model.load(problem_with(tmp_path, data, graphml="none.graphml"))
