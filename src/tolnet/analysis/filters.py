@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.local_tolerance import seen_tolerances
 from tolnet.analysis.lyapunov import Method, solve_lyapunov
 from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady_state
-from tolnet.model import SteadyState, ToleranceTable, UnsupportedError
+from tolnet.model import SensorNetwork, SteadyState, ToleranceTable, UnsupportedError
 from tolnet.model.dynamics import LeastFavourableModel, Performance
 from tolnet.model.history import FILTERS, FilterHistory, FilterKind
 
@@ -103,6 +104,52 @@ def follow_filters(
     return found
 
 
+class Gains(NamedTuple):
+    """What the nodes of one filter use in one step: V_{k,t}, and what leads from it to the next."""
+
+    at: Inflated
+    tolerance: Float[ndarray, " K"]
+    following: Inflated
+
+
+class Hearing(NamedTuple):
+    """Whom the K nodes of a filter hear, what information that is, and how they mix."""
+
+    S: Float[ndarray, "K n n"]
+    heard: sparse.csr_array
+    """(K, N)."""
+    mixing: sparse.csr_array
+    """W', K x K."""
+
+
+def hearing(network: SensorNetwork, W: sparse.csr_array, kind: FilterKind) -> Hearing:
+    """A centralised filter is one node that hears everybody and mixes with nobody."""
+    if kind.centralised:
+        everybody = sparse.csr_array(np.ones((1, network.N)))
+        return Hearing(network.total_information[None], everybody, sparse.csr_array(np.ones((1, 1))))
+    heard = sparse.csr_array(network.adjacency.T.astype(float))
+    return Hearing(network.information, heard, sparse.csr_array(W.T))
+
+
+def follow_gains(table: ToleranceTable, kind: FilterKind, S: Float[ndarray, "K n n"], T: int) -> Iterator[Gains]:
+    """The covariance recursion of every node from V_0, eqs. (12), (32), (44), step by step; it needs no data."""
+    network, c = table.network, float(table.central.tolerance)
+    A, Q, V0, K = network.A, network.Q, network.initial_covariance, len(S)
+    at = inflate_covariance(np.broadcast_to(V0, (K, *V0.shape)), np.zeros(K))
+    centre = inflate_covariance(V0[None], np.zeros(1))
+    for _ in range(T):
+        tolerance = np.full(K, c if kind.ball == "c" else 0.0)
+        if kind.ball == "c_k":
+            tolerance = np.asarray(table.local.tolerance)
+        if kind.ball == "c_k,t":
+            ahead = inflate_covariance(predict(A, Q, network.total_information[None], centre), np.array([c]))
+            tolerance = seen_tolerances(network, c, now=centre, following=ahead)
+            centre = ahead
+        following = inflate_covariance(predict(A, Q, S, at), tolerance)
+        yield Gains(at, tolerance, following)
+        at = following
+
+
 def _history(
     table: ToleranceTable,
     W: sparse.csr_array,
@@ -111,46 +158,22 @@ def _history(
     T: int,
     step_done: Callable[[int], None],
 ) -> FilterHistory:
-    network = table.network
-    A, V0, n = network.A, network.initial_covariance, network.n
-    if kind.centralised:
-        S, heard = network.total_information[None], sparse.csr_array(np.ones((1, network.N)))
-        mixing = sparse.csr_array(np.ones((1, 1)))
-    else:
-        S, heard = network.information, sparse.csr_array(network.adjacency.T.astype(float))
-        mixing = sparse.csr_array(W.T)
+    network, n = table.network, table.network.n
+    S, heard, mixing = hearing(network, W, kind)
     K = len(S)
     node_msd = np.full((T + 1, K), np.nan)
     theta, tolerance = np.full((T, K), np.nan), np.full((T, K), np.nan)
     if not model.exists:
         return FilterHistory(kind, node_msd, theta, tolerance, model.status, model.reason)
-    at = inflate_covariance(np.broadcast_to(V0, (K, n, n)), np.zeros(K))
-    centre = inflate_covariance(V0[None], np.zeros(1))
-    c = float(table.central.tolerance)
-    Q = np.tile(V0, (K + 1, K + 1))
-    node_msd[0] = np.trace(V0)
-    for t in range(T):
-        dynamics = filter_errors(model[t], at.V, S, heard, mixing)
-        blocks = (K + 1, n, (K + 1) * n)
+    Q = np.tile(network.initial_covariance, (K + 1, K + 1))
+    node_msd[0] = np.trace(network.initial_covariance)
+    blocks = (K + 1, n, (K + 1) * n)
+    for t, gains in enumerate(follow_gains(table, kind, S, T)):
+        dynamics = filter_errors(model[t], gains.at.V, S, heard, mixing)
         FQ = dynamics.step(Q.reshape(blocks)).reshape(Q.shape)
         Q = dynamics.step(FQ.T.reshape(blocks)).reshape(Q.shape)
         Q = (Q + Q.T) / 2 + dynamics.noise_matrix()
         node_msd[t + 1] = np.einsum("kiki->k", Q.reshape(K + 1, n, K + 1, n))[:K]
-        following = inflate_covariance(predict(A, network.Q, network.total_information[None], centre), np.array([c]))
-        tolerance[t] = _tolerance(table, kind, c, centre, following, K)
-        centre = following
-        at = inflate_covariance(predict(A, network.Q, S, at), tolerance[t])
-        theta[t] = at.theta
+        theta[t], tolerance[t] = gains.following.theta, gains.tolerance
         step_done(t + 1)
     return FilterHistory(kind, node_msd, theta, tolerance, model.status, model.reason)
-
-
-def _tolerance(
-    table: ToleranceTable, kind: FilterKind, c: float, now: Inflated, following: Inflated, K: int
-) -> Float[ndarray, " K"]:
-    """The tolerance of every node of a filter in one step."""
-    if kind.ball == "c_k,t":
-        return seen_tolerances(table.network, c, now=now, following=following)
-    if kind.ball == "c_k":
-        return np.asarray(table.local.tolerance)
-    return np.full(K, c if kind.ball == "c" else 0.0)
