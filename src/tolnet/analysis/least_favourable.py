@@ -21,7 +21,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis.divergence import inflate
-from tolnet.analysis.lyapunov_dense import solve_smith
+from tolnet.analysis.lyapunov_dense import data_error, solve_smith
 from tolnet.analysis.stacked import spectral_radius
 from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
@@ -81,6 +81,7 @@ def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableMode
     )
     correction, variance = np.diagonal(solve_smith(model.closed_loop, model.defect).X), np.diagonal(R)
     error = float(np.max(np.abs(correction) / np.maximum(variance, _KNOWN * variance.max())))
+    error = max(error, data_error(float(spectral_radius(model.closed_loop))))
     if not error <= _ACCEPTED:
         reason = f"the covariance of e has an estimated relative error of {error:.2g} at the tolerance {c:g}"
         return _none(network, central, Status.NOT_CONVERGED, reason)

@@ -65,6 +65,7 @@ def solve_lyapunov(dynamics: ErrorDynamics, method: Method = "auto") -> Performa
         return _refuse(dynamics, method, radii, Status.UNSTABLE, f"F has the spectral radius {max(radii):.10g}")
     unit = _units(dynamics)
     chosen, answer = _solve(dynamics.rescaled(unit), method)
+    answer = answer._replace(error=max(answer.error, dense.data_error(max(radii))))
     if not answer.error <= _ACCEPTED:
         reason = (
             f"the error of the worst MSD is estimated at {answer.error:.2g} of it, more than {_ACCEPTED:g}"

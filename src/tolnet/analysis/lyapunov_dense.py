@@ -12,6 +12,7 @@ from tolnet.model import UnsupportedError
 
 _MOST_DOUBLINGS = 60
 _POWER_STEPS = 12
+_ROUNDINGS = 4
 _SETTLED = 1e-12
 """Relative size of a doubling's terms at which to stop: the next ones are about its square."""
 
@@ -82,3 +83,8 @@ def amplification(F: Float[ndarray, "d d"]) -> float:
     for _ in range(_POWER_STEPS):
         v = X @ (v / np.linalg.norm(v))
     return float(np.linalg.norm(v))
+
+
+def data_error(radius: float) -> float:
+    """Relative error of X that rounding the entries of an F of that spectral radius makes, however X is solved."""
+    return float(_ROUNDINGS * np.finfo(float).eps / (1 - radius**2)) if radius < 1 else np.inf
