@@ -22,21 +22,20 @@ _MALFORMED = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
-    tokenize.TokenError,
     EOFError,
-    LookupError,
-    MemoryError,
-    NotImplementedError,  # a compression that Python does not know
     OSError,
-    OverflowError,
-    RecursionError,
+    NotImplementedError,  # a compression that Python does not know
     RuntimeError,  # encrypted
+    # A .npy header is Python source: what parsing any text as that may raise.
+    tokenize.TokenError,
     SyntaxError,
+    RecursionError,
+    MemoryError,
     TypeError,
     ValueError,
     Warning,
 )
-"""What zipfile and NumPy raise on bytes that are no archive of arrays."""
+"""What zipfile and NumPy raise on bytes that are no archive of arrays, as found by feeding them such."""
 
 
 def read_archive(data: bytes) -> dict[str, ndarray]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.model._checks import Complaints, by, nearest
-from tolnet.model.ambiguity import Ambiguity
+from tolnet.model._checks import Complaints, by, nearest, shown
+from tolnet.model.ambiguity import CONVENTIONS, Ambiguity
 from tolnet.model.errors import InputError
 from tolnet.model.matfile import read_mat
 
@@ -44,14 +44,17 @@ def arguments_of_mat(data: bytes) -> dict[str, Any]:
         hint = f"the nearest is {nearest(name, KNOWN)!r}; save only the network's variables"
         complaints.add(name, f"is no known variable; {hint}")
     values = {name: _value(name, variables[name], complaints) for name in KNOWN if name in variables}
-    if "A" not in values or "C" not in values:
-        complaints.add("A" if "A" not in values else "C", "is missing")
+    needed = {"A", "C"} | ({"tolerance"} if {"tau", "convention"} & values.keys() else set())
+    for name in sorted(needed - values.keys()):
+        complaints.add(name, "is missing")
+    if values.get("convention", CONVENTIONS[0]) not in CONVENTIONS:
+        complaints.add("convention", f"is {shown(values['convention'])}; 'gamma' or 'nats' was expected")
     complaints.raise_if_any()
     values["edges"] = _from_zero(values.get("edges"), len(values["C"]), complaints)
     complaints.raise_if_any()
     ball = {key: values.pop(key) for key in ("tolerance", "convention", "tau") if key in values}
     if ball:
-        values["ambiguity"] = Ambiguity(**{"tolerance": None, **ball})
+        values["ambiguity"] = Ambiguity(**ball)
     weights, rule = values.pop("W", None), values.pop("rule", None)
     if weights is not None and rule is not None:
         raise InputError("has both W and rule; at most one was expected")
