@@ -230,16 +230,17 @@ def test_a_spoilt_mat(cuts, length):
 @given(
     st.dictionaries(
         st.sampled_from(["A", "B", "C", "R", "edges", "adjacency", "W", "names", "dt", "rule", "tau", "input"]),
-        matrices | st.text(max_size=3) | st.lists(matrices, max_size=3),
+        matrices | st.text(max_size=3) | st.lists(matrices, max_size=3).map(tuple),
     )
 )
 def test_any_variables(given_variables):
     stream = io.BytesIO()
     cells = {}
     for key, value in given_variables.items():
-        if isinstance(value, list) and value and value[0] and isinstance(value[0][0], list):
+        if isinstance(value, tuple):
             cell = np.empty(len(value), dtype=object)
-            cell[:] = [np.array(item, dtype=float) for item in value]
+            for i, item in enumerate(value):
+                cell[i] = np.array(item, dtype=float)
             cells[key] = cell
         else:
             cells[key] = value if isinstance(value, str) else np.array(value, dtype=float)

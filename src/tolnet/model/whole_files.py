@@ -36,7 +36,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     """
     try:
         _check_target(path)
-        target, part = path.resolve(), _beside(path)
+        target, part = _behind(path), _beside(path)
         try:
             with part.open("xb") as file:
                 if target.exists():
@@ -54,24 +54,28 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 def _check_target(path: Path) -> None:
     """Refuse what a rename would wrongly replace, or could not."""
     try:
-        exists, parent = path.exists(), path.parent
+        _behind(path)
     except ValueError as error:  # a name that no file can have
-        raise _unwritable(path, error) from None
+        raise InputError(f"cannot be written: {error}", source=str(path)) from None
     if path.is_dir():
         raise InputError("cannot be written: it is a directory", source=str(path))
-    if not parent.is_dir():
-        what = "is not a directory" if parent.exists() else "does not exist"
-        raise InputError(f"cannot be written: {parent} {what}", source=str(path))
-    if exists and not path.is_file():
+    if not path.parent.is_dir():
+        what = "is not a directory" if path.parent.exists() else "does not exist"
+        raise InputError(f"cannot be written: {path.parent} {what}", source=str(path))
+    if path.exists() and not path.is_file():
         raise InputError("cannot be written: it is not a regular file", source=str(path))
-    if exists and not os.access(path, os.W_OK):
+    if path.exists() and not os.access(path, os.W_OK):
         raise InputError("cannot be written: it is write-protected", source=str(path))
 
 
-def _unwritable(path: Path, error: OSError | ValueError) -> InputError:
-    reason = error.strerror if isinstance(error, OSError) else error
-    return InputError(f"cannot be written: {reason}", source=str(path))
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot be written: {error.strerror}", source=str(path))
+
+
+def _behind(path: Path) -> Path:
+    """What a link leads to; the link itself where it leads in a circle, on which Path.resolve differs by version."""
+    return Path(os.path.realpath(path))
 
 
 def _beside(path: Path) -> Path:
-    return path.resolve().with_name(f".tolnet-{secrets.token_hex(6)}.part")
+    return _behind(path).with_name(f".tolnet-{secrets.token_hex(6)}.part")

@@ -102,6 +102,4 @@ def _covering(generator: np.random.Generator, N: int, edges: Int[ndarray, "E 2"]
         good = np.flatnonzero(hears_another.all(axis=1))
         if good.size:
             return types[good[0]]
-    raise InputError(
-        f"{DRAWS} draws of the sensors left a node of these {N} without one of the axes; ask for more links"
-    )
+    raise InputError(f"{DRAWS} draws of the sensors left a node without one of the axes; ask for more links")
