@@ -142,6 +142,25 @@ def test_changes_are_written_as_csv_and_json(tolnet: Tolnet, problem, tmp_path: 
     assert float(rows[0]["theta_relative"]) == ran.document["changed"][0]["relative"]["theta"]
 
 
+def test_problems_of_another_family_are_compared_with_uniform_tolerances(tolnet: Tolnet, problem):
+    old, new = problem("old", 1.0), problem("new", 4.0)
+    refused = tolnet("diff", old, new, "--tau", 0.5)
+    assert (refused.code, refused.out) == (2, "")
+    assert "local tolerances are defined for tau = 0 only (tau is 0.5); --uniform" in refused.err
+    ran = tolnet("diff", old, new, "--tau", 0.5, "--uniform", "--json")
+    assert (ran.code, ran.document["tau"]) == (0, 0.5)
+    ambiguity = Ambiguity(0.02, tau=0.5)
+    before, after = (choose_tolerances(network(noise), ambiguity, uniform=True) for noise in (1.0, 4.0))
+    for change in ran.document["changed"]:
+        k = change["node"]
+        assert change["old"]["trace_V"] == before.local.trace_V[k]
+        assert change["new"]["trace_V"] == after.local.trace_V[k]
+        assert change["new"]["tolerance"] == 0.02
+    assert {each["node"] for each in ran.document["changed"]} == {0, 1}
+    said = tolnet("diff", old, new, "--tau", 0.5, "--uniform").out
+    assert f"tolnet diff {old} {new} --tau 0.5 --uniform -o changes.csv" in said
+
+
 def test_a_missing_table_is_refused(tolnet: Tolnet, problem, tmp_path: Path):
     ran = tolnet("diff", tmp_path / "missing.json", problem("same"))
     assert ran.code == 2

@@ -32,6 +32,7 @@ def test_json_is_the_contract_and_nothing_else_is_on_standard_output(tolnet: Tol
     assert [node["node"] for node in document["nodes"]] == list(range(20))
     assert set(document["nodes"][0]) == {
         "node", "degree", "tolerance", "theta", "trace_P", "trace_V", "spectral_radius", "attraction", "status",
+        "reason",
     }  # fmt: skip
 
 
@@ -177,6 +178,9 @@ def test_no_answer_at_one_node_leaves_the_others_theirs(tolnet: Tolnet, blind: P
     assert document["status"] == "undetectable"
     assert document["central"]["status"] == "ok"
     assert [node["status"] for node in document["nodes"]] == ["ok", "ok", "undetectable"]
+    assert [node["reason"] for node in document["nodes"][:2]] == [None, None]
+    assert document["nodes"][2]["reason"].endswith("sees all of the mode 1.1 of A, which does not decay")
+    assert document["central"]["reason"] is None
     assert document["nodes"][2]["theta"] is None
     assert document["nodes"][0]["trace_V"] > 0
     assert json.loads((tmp_path / "t.json").read_text()) == document

@@ -100,10 +100,14 @@ def test_json_is_the_document_of_the_contract(partial: ToleranceTable, tmp_path:
     assert document["schema"] == "tolnet.table/1"
     assert document["problem"] == {"name": "mixed", "sha256": "0123456789abcdef" * 4}
     assert document["status"] == "undetectable"
-    assert set(document["central"]) == {"theta", "trace_P", "trace_V", "attraction", "status", "limits"}
+    assert set(document["central"]) == {"theta", "trace_P", "trace_V", "attraction", "status", "reason", "limits"}
+    assert document["central"]["reason"] is None
     node = document["nodes"][1]
-    assert set(node) == {*NODES, "name", "limits"}
+    assert set(node) == {*NODES, "name", "reason", "limits"}
     assert node["status"] == "undetectable"
+    assert node["reason"].startswith("no sensor that it hears (nodes 0, 1) sees all of the mode")
+    assert "attraction 1.25 is not below 1" in document["nodes"][3]["reason"]
+    assert document["nodes"][0]["reason"] is None
     assert node["theta"] is None
     assert node["trace_V"] is None
     assert node["limits"]["exists"] == "inf"

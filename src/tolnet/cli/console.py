@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
@@ -61,6 +62,11 @@ class Console:
         """Print text for people exactly as it is, since it may be piped into a file."""
         if not (self.json or self.quiet):
             _write("stdout", [text])
+
+    def wrote(self, paths: Sequence[Path]) -> None:
+        """Say which files were written."""
+        if paths:
+            self.show(f"wrote {', '.join(map(str, paths))}")
 
     def suggest(self, *commands: str) -> None:
         """Say which commands to try next."""

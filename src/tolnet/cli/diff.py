@@ -11,7 +11,20 @@ import typer
 
 from tolnet.cli.console import Console
 from tolnet.cli.documents import render, write
-from tolnet.cli.options import AsJson, Outputs, Quiet, check_outputs, choose_ambiguity, open_problem
+from tolnet.cli.options import (
+    AsJson,
+    Outputs,
+    Quiet,
+    Tau,
+    Tolerance,
+    Uniform,
+    check_family,
+    check_outputs,
+    choose_ambiguity,
+    open_problem,
+    repeated,
+)
+from tolnet.cli.solving import solve_table
 
 if TYPE_CHECKING:
     from tolnet.design.export import TableRecord
@@ -26,16 +39,17 @@ def diff(
     threshold: Annotated[
         float, typer.Option(min=0.0, metavar="R", help="Relative changes up to this count as none.")
     ] = 1e-9,
-    tolerance: Annotated[
-        float | None, typer.Option("--tolerance", "-c", metavar="C", help="Of the network, for problems.")
-    ] = None,
+    tolerance: Tolerance = None,
+    tau: Tau = None,
+    uniform: Uniform = False,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Which nodes' tables changed between two tables or problems, and by how much? Exit code 0 either way.
 
-    Nodes are matched by name where both have names, else by index. -o takes .json and .csv.
+    Nodes are matched by name where both have names, else by index. -o takes .json and .csv. --tolerance, --tau and
+    --uniform are for problems; tables stay as they were written.
     """
     from tolnet.model import InputError
 
@@ -43,7 +57,7 @@ def diff(
     if math.isnan(threshold):
         raise InputError("--threshold is nan; a number >= 0 was expected")
     check_outputs(output or [], [".json", ".csv"], inputs=[old, new])
-    records = [_record(name, tolerance, console) for name in (old, new)]
+    records = [_record(name, tolerance, tau, uniform, console) for name in (old, new)]
 
     from tolnet.report.difference import compare_tables, difference_csv, difference_view
 
@@ -54,17 +68,16 @@ def diff(
     console.document([text])
     console.show(*difference_view(difference))
     if not output:
-        console.suggest(f"tolnet diff {shlex.quote(old)} {shlex.quote(new)} -o changes.csv")
+        options = repeated(tolerance=tolerance, tau=tau, uniform=uniform)
+        console.suggest(f"tolnet diff {shlex.quote(old)} {shlex.quote(new)}{options} -o changes.csv")
 
 
-def _record(name: str, tolerance: float | None, console: Console) -> TableRecord:
+def _record(name: str, tolerance: float | None, tau: float | None, uniform: bool, console: Console) -> TableRecord:
     from tolnet.design.export import TableRecord, read_table
 
     if Path(name).suffix.lower() in TABLES:
         return read_table(Path(name))
-    from tolnet import design
-
     network = open_problem(name, console)
-    with console.progress(f"steady states of {name}") as progress:
-        table = design.choose_tolerances(network, choose_ambiguity(network, tolerance, None, None), progress=progress)
-    return TableRecord.of(table)
+    ambiguity = choose_ambiguity(network, tolerance, None, tau)
+    check_family(ambiguity, uniform=uniform)
+    return TableRecord.of(solve_table(network, ambiguity, console, uniform=uniform))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,6 +14,8 @@ from tolnet.cli.console import Console
 
 if TYPE_CHECKING:
     from tolnet.model import Ambiguity, Convention, SensorNetwork
+
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 Problem = Annotated[
     str,
@@ -22,22 +25,50 @@ Outputs = Annotated[
     list[Path] | None,
     typer.Option("-o", "--output", metavar="FILE", help="Write there too; the suffix picks the format. Repeatable."),
 ]
+Tolerance = Annotated[
+    float | None,
+    typer.Option("--tolerance", "-c", metavar="C", help="The network's tolerance, instead of the problem's."),
+]
+Unit = Annotated[
+    Literal["gamma", "nats"] | None,
+    typer.Option("--convention", help="Unit of --tolerance and of the answer: gamma, or nats (half of gamma)."),
+]
+Tau = Annotated[
+    float | None,
+    typer.Option("--tau", metavar="TAU", help="Member of the tau-divergence family, 0 to 1; 0 unless --uniform."),
+]
+Uniform = Annotated[bool, typer.Option("--uniform", help="c_k = c at every node, instead of local ones.")]
+Filters = Annotated[
+    str | None,
+    typer.Option("--filters", metavar="A,B", help="Some of KFC, RKFC, KFD, RKFDU, RKFDNU, RKFDNU2; all without."),
+]
+Rule = Annotated[
+    str | None,
+    typer.Option("--diffusion", metavar="RULE", help="Weights by this rule, such as uniform, not the problem's."),
+]
+Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg, .pdf).")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, and nothing else there.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Nothing but complaints for people.")]
 
 
-def check_outputs(paths: Sequence[Path], suffixes: Iterable[str], *, inputs: Iterable[str] = ()) -> None:
-    """Raise InputError unless every output has a known suffix, can be written, is given once, and is no input."""
+def check_outputs(
+    paths: Sequence[Path], suffixes: Iterable[str], *, inputs: Iterable[str] = (), plot: Path | None = None
+) -> None:
+    """Raise InputError unless every output has a known suffix, can be written, is given once, and is no input.
+
+    `plot` is one more output, with suffixes of its own.
+    """
     from tolnet.model import InputError, check_writable
 
-    if not paths:
+    formats = tuple(suffixes)
+    wanted = [(path, formats) for path in paths] + ([(plot, PLOT_SUFFIXES)] if plot is not None else [])
+    if not wanted:
         return
-    suffixes = tuple(suffixes)
     taken = {path.resolve(): "is an input of this command" for name in inputs for path in _files_of(Path(name))}
-    for path in paths:
-        if path.suffix.lower() not in suffixes:
+    for path, known in wanted:
+        if path.suffix.lower() not in known:
             found = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
-            raise InputError(f"has {found}; {' or '.join(suffixes)} was expected", source=str(path))
+            raise InputError(f"has {found}; {' or '.join(known)} was expected", source=str(path))
         if path.resolve() in taken:
             raise InputError(f"cannot be written: it {taken[path.resolve()]}", source=str(path))
         check_writable(path)
@@ -104,3 +135,24 @@ def choose_ambiguity(
         raise InputError(
             [Complaint(f"ambiguity.{key}" if given[key] is None else f"--{key}", message) for key, message in named]
         ) from None
+
+
+def check_family(ambiguity: Ambiguity, *, uniform: bool) -> None:
+    """Refuse local tolerances where they are not defined, with the way out."""
+    from tolnet.model import UnsupportedError
+
+    if ambiguity.tau != 0 and not uniform:
+        raise UnsupportedError(
+            f"local tolerances are defined for tau = 0 only (tau is {ambiguity.tau:g}); --uniform takes c_k = c at"
+            " every node"
+        )
+
+
+def repeated(**given: object) -> str:
+    """Options as they were given, to stand in a command that is suggested; those that were not given are left out."""
+    words = [
+        f" --{name}" + ("" if value is True else f" {shlex.quote(str(value))}")
+        for name, value in given.items()
+        if value is not None and value is not False
+    ]
+    return "".join(words)

@@ -3,37 +3,50 @@
 from __future__ import annotations
 
 import shlex
-import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from tolnet.cli.console import Console, complain
-from tolnet.cli.options import AsJson, Outputs, Problem, Quiet, check_outputs, choose_ambiguity, open_problem
+from tolnet.cli.options import (
+    AsJson,
+    Outputs,
+    Problem,
+    Quiet,
+    Tau,
+    Tolerance,
+    Uniform,
+    Unit,
+    check_family,
+    check_outputs,
+    choose_ambiguity,
+    open_problem,
+    repeated,
+)
+from tolnet.cli.solving import save_figure, solve_table
 
 if TYPE_CHECKING:
     from tolnet.model import Ambiguity, SensorNetwork, ToleranceTable
 
 NO_ANSWER = 4
-PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def table(
     problem: Problem,
-    tolerance: Annotated[
-        float | None,
-        typer.Option("--tolerance", "-c", metavar="C", help="The network's tolerance, instead of the problem's."),
+    tolerance: Tolerance = None,
+    convention: Unit = None,
+    tau: Tau = None,
+    uniform: Uniform = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Estimate the tolerance from recorded x, y and u (.npz)."),
     ] = None,
-    convention: Annotated[
-        Literal["gamma", "nats"] | None,
-        typer.Option(help="Unit of --tolerance and of the answer: gamma, or nats (half of gamma)."),
+    data_method: Annotated[
+        Literal["divergence", "likelihood"] | None,
+        typer.Option(help="How: divergence from the nominal model (the default), or its negative log-likelihood."),
     ] = None,
-    tau: Annotated[
-        float | None,
-        typer.Option(metavar="TAU", help="Member of the tau-divergence family, 0 to 1; 0 unless --uniform."),
-    ] = None,
-    uniform: Annotated[bool, typer.Option("--uniform", help="c_k = c at every node, instead of local ones.")] = False,
     limits: Annotated[
         bool, typer.Option("--limits", help="How large the tolerance of each filter may be, and why not larger.")
     ] = False,
@@ -52,12 +65,79 @@ def table(
     """
     console = Console(json=json, quiet=quiet)
     outputs = output or []
-    _check_files(problem, outputs, plot)
+    _check_files([problem, *([str(data)] if data else [])], outputs, plot)
+    _check_sources(tolerance, data, data_method)
     network = open_problem(problem, console)
-    ambiguity = choose_ambiguity(network, tolerance, convention, tau)
-    _check_family(ambiguity, uniform=uniform, limits=limits)
-    answer = _solve(network, ambiguity, uniform, console)
+    ambiguity, estimate = None, None
+    if data is None:
+        ambiguity = choose_ambiguity(network, tolerance, convention, tau)
+    else:
+        from tolnet.cli.data import data_view, estimate_tolerance
 
+        ambiguity, estimate = estimate_tolerance(network, data, data_method or "divergence", convention, tau, console)
+        console.show(*data_view(estimate, ambiguity.convention))
+    _check_limits(ambiguity, uniform=uniform, limits=limits)
+    answer = _solve(network, ambiguity, uniform, console)
+    _tell(answer, estimate, console, outputs, plot, limits=limits, full=full)
+    options = repeated(
+        tolerance=tolerance, convention=convention, tau=tau, uniform=uniform, data=data, data_method=data_method
+    )
+    level = repeated(tolerance=tolerance if data is None else answer.tolerance, convention=convention)
+    written = [*outputs, *([plot] if plot else [])]
+    console.wrote(written)
+    console.suggest(*_next_commands(shlex.quote(problem), options, level, answer, written, limits))
+    if not answer.ok:
+        from tolnet.design.export import Reasons
+
+        complain(Reasons(answer).offenders(), "no answer")
+        raise typer.Exit(NO_ANSWER)
+
+
+def _check_files(inputs: list[str], outputs: list[Path], plot: Path | None) -> None:
+    from tolnet.design.export import TABLE_SUFFIXES, check_table_path
+
+    check_outputs(outputs, TABLE_SUFFIXES, inputs=inputs, plot=plot)
+    for path in outputs:
+        check_table_path(path)
+
+
+def _check_sources(tolerance: float | None, data: Path | None, method: str | None) -> None:
+    """Refuse two tolerances, and a method for nothing."""
+    from tolnet.model import InputError
+
+    if data is not None and tolerance is not None:
+        raise InputError("--tolerance and --data are given; one of them was expected, since --data estimates c")
+    if data is None and method is not None:
+        raise InputError("--data-method is given without --data")
+
+
+def _check_limits(ambiguity: Ambiguity, *, uniform: bool, limits: bool) -> None:
+    """Refuse what is defined for Kullback-Leibler balls only, with the way out."""
+    from tolnet.model import UnsupportedError
+
+    check_family(ambiguity, uniform=uniform)
+    if ambiguity.tau != 0 and limits:
+        raise UnsupportedError(f"--limits are defined for tau = 0 only (tau is {ambiguity.tau:g}); leave it out")
+
+
+def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
+    from tolnet.design import diffusion_matrix
+
+    diffusion_matrix(network)  # a rule that this graph refuses is bad input: say so before computing
+    return solve_table(network, ambiguity, console, uniform=uniform)
+
+
+def _tell(
+    answer: ToleranceTable,
+    estimate: dict[str, Any] | None,
+    console: Console,
+    outputs: list[Path],
+    plot: Path | None,
+    *,
+    limits: bool,
+    full: bool,
+) -> None:
+    """Write, draw and print the table."""
     from tolnet import analysis
     from tolnet.design import export
     from tolnet.report.table import table_view
@@ -65,74 +145,35 @@ def table(
     limited = None
     if limits:
         with console.progress("limits") as progress:
-            limited = analysis.tolerance_limits(network, progress=progress)
+            limited = analysis.tolerance_limits(answer.network, progress=progress)
     for path in outputs:
         with console.progress(f"writing {path}"):
-            export.export_table(answer, path, limits=limited, full=full)
+            export.export_table(answer, path, limits=limited, full=full, data=estimate)
     if plot is not None:
+        from tolnet.report.map import tolerance_map
+
         with console.progress(f"drawing {plot}"):
-            _draw(answer, plot)
-    if json:
-        console.document(export.table_json(answer, limits=limited, full=full))
+            save_figure(tolerance_map(answer), plot)
+    if console.json:
+        console.document(export.table_json(answer, limits=limited, full=full, data=estimate))
     else:
         console.show(*table_view(export.TableRecord.of(answer, limited)))
-        _say_what_next(console, problem, answer, [*outputs, *([plot] if plot else [])], limits)
-    if not answer.ok:
-        from tolnet.cli.reasons import offenders
-
-        complain(offenders(answer), "no answer")
-        raise typer.Exit(NO_ANSWER)
 
 
-def _check_files(problem: str, outputs: list[Path], plot: Path | None) -> None:
-    from tolnet.design.export import TABLE_SUFFIXES, check_table_path
-
-    check_outputs(outputs, TABLE_SUFFIXES, inputs=[problem])
-    for path in outputs:
-        check_table_path(path)
-    if plot is not None:
-        check_outputs([plot], PLOT_SUFFIXES, inputs=[problem])
-
-
-def _check_family(ambiguity: Ambiguity, *, uniform: bool, limits: bool) -> None:
-    """Refuse what is defined for Kullback-Leibler balls only, with the way out."""
-    from tolnet.model import UnsupportedError
-
-    found = f"tau = 0 only (tau is {ambiguity.tau:g})"
-    if ambiguity.tau != 0 and not uniform:
-        raise UnsupportedError(f"local tolerances are defined for {found}; --uniform takes c_k = c at every node")
-    if ambiguity.tau != 0 and limits:
-        raise UnsupportedError(f"--limits are defined for {found}; leave it out")
-
-
-def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
-    from tolnet import design
-
-    design.diffusion_matrix(network)  # a rule that this graph refuses is bad input: say so before computing
-    with console.progress("steady states") as progress:
-        return design.choose_tolerances(network, ambiguity, uniform=uniform, progress=progress)
-
-
-def _draw(answer: ToleranceTable, path: Path) -> None:
-    from tolnet.model import replacing
-    from tolnet.report.map import tolerance_map
-
-    figure = tolerance_map(answer)
-    with replacing(path) as file, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # a letter that the font lacks is drawn as a box
-        figure.savefig(file, format=path.suffix.lower().removeprefix("."))
-
-
-def _say_what_next(console: Console, problem: str, answer: ToleranceTable, written: list[Path], limits: bool) -> None:
-    name = shlex.quote(problem)
-    if written:
-        console.show(f"wrote {', '.join(map(str, written))}")
+def _next_commands(
+    problem: str, options: str, level: str, answer: ToleranceTable, written: list[Path], limits: bool
+) -> Iterator[str]:
+    """What to try after a table; `options` are those that it was made with, `level` is its tolerance among them."""
+    family = repeated(tau=answer.tau or None, uniform=answer.tau != 0)
     tables = [path for path in written if path.suffix.lower() in (".json", ".csv", ".npz")]
-    commands = [] if limits else [f"tolnet table {name} --limits"]
+    if tables and answer.network.ambiguity is not None:
+        yield f"tolnet diff {shlex.quote(str(tables[0]))} {problem}{family}"
+    elif answer.ok and not tables:
+        yield f"tolnet table {problem}{options} -o table.json -o table.h --plot map.png"
     if not answer.ok:
-        commands.append(f"tolnet table {name} --tolerance {answer.tolerance / 2:g} --convention {answer.convention}")
-    if tables:
-        commands.append(f"tolnet diff {shlex.quote(str(tables[0]))} {name}")
-    elif answer.ok:
-        commands.insert(0, f"tolnet table {name} -o table.json -o table.h --plot map.png")
-    console.suggest(*commands)
+        half = repeated(tolerance=f"{answer.tolerance / 2:g}", convention=answer.convention)
+        yield f"tolnet table {problem}{half}{family}"
+    if answer.tau == 0:
+        yield f"tolnet performance {problem}{level}"
+    if answer.tau == 0 and not limits:
+        yield f"tolnet table {problem}{options} --limits"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from tolnet.design.export.arrays import write_npz, write_parquet
 from tolnet.design.export.header import table_header
 from tolnet.design.export.reading import read_table
+from tolnet.design.export.reasons import Reasons
 from tolnet.design.export.record import Limits, TableRecord, plain
 from tolnet.design.export.text import HEADS, cell, table_csv, table_json, table_markdown
 from tolnet.model import InputError, ToleranceTable, UnsupportedError, check_writable, replacing
@@ -17,6 +18,7 @@ from tolnet.model import InputError, ToleranceTable, UnsupportedError, check_wri
 __all__ = [
     "HEADS",
     "TABLE_SUFFIXES",
+    "Reasons",
     "TableRecord",
     "cell",
     "check_table_path",
@@ -28,7 +30,12 @@ __all__ = [
 
 
 def export_table(
-    table: ToleranceTable, path: str | Path, *, limits: Limits | None = None, full: bool = False
+    table: ToleranceTable,
+    path: str | Path,
+    *,
+    limits: Limits | None = None,
+    full: bool = False,
+    data: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a tolerance table in the format that the suffix of `path` names, whole or not at all.
 
@@ -39,14 +46,15 @@ def export_table(
         .h         everything that is deployed, as constants for C99 and C++
 
     Every file says which problem (name and SHA-256), convention, tau, c and version. `limits`, as
-    analysis.tolerance_limits returns them, adds them to every format but .h, in the table's convention.
+    analysis.tolerance_limits returns them, and `data`, what is known of the data that the tolerance was estimated
+    from, are added to every format but .h; limits are written in the table's convention, `data` as it is.
     Raises InputError where the file cannot be written there or the suffix is unknown, UnsupportedError where pyarrow
     is missing.
     """
     path = Path(path)
     check_table_path(path)
     with replacing(path) as file:
-        _WRITERS[path.suffix.lower()](table, file, limits, full)
+        _WRITERS[path.suffix.lower()](table, file, _More(limits, full, data))
 
 
 def check_table_path(path: Path) -> None:
@@ -60,17 +68,25 @@ def check_table_path(path: Path) -> None:
     check_writable(path)
 
 
+class _More(NamedTuple):
+    """What a file may say beside the table."""
+
+    limits: Limits | None
+    full: bool
+    data: Mapping[str, Any] | None
+
+
 def _write(pieces: Iterable[str], file: BinaryIO) -> None:
     for piece in pieces:
         file.write(piece.encode())
 
 
-_WRITERS: dict[str, Callable[[ToleranceTable, BinaryIO, Limits | None, bool], None]] = {
-    ".json": lambda table, file, limits, full: _write(table_json(table, limits=limits, full=full), file),
-    ".csv": lambda table, file, limits, _: _write(table_csv(TableRecord.of(table, limits)), file),
-    ".md": lambda table, file, limits, _: _write(table_markdown(TableRecord.of(table, limits)), file),
-    ".npz": lambda table, file, limits, _: write_npz(table, file, limits=limits),
-    ".parquet": lambda table, file, limits, _: write_parquet(TableRecord.of(table, limits), file),
-    ".h": lambda table, file, *_: _write(table_header(table), file),
+_WRITERS: dict[str, Callable[[ToleranceTable, BinaryIO, _More], None]] = {
+    ".json": lambda table, file, more: _write(table_json(table, **more._asdict()), file),
+    ".csv": lambda table, file, more: _write(table_csv(TableRecord.of(table, more.limits, more.data)), file),
+    ".md": lambda table, file, more: _write(table_markdown(TableRecord.of(table, more.limits, more.data)), file),
+    ".npz": lambda table, file, more: write_npz(table, file, limits=more.limits, data=more.data),
+    ".parquet": lambda table, file, more: write_parquet(TableRecord.of(table, more.limits, more.data), file),
+    ".h": lambda table, file, _: _write(table_header(table), file),
 }
 TABLE_SUFFIXES = tuple(_WRITERS)

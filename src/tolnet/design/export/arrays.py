@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -12,14 +13,20 @@ from tolnet.design.export.record import Limits, TableRecord, plain
 from tolnet.model import ToleranceTable
 
 
-def write_npz(table: ToleranceTable, file: BinaryIO, *, limits: Limits | None = None) -> None:
+def write_npz(
+    table: ToleranceTable,
+    file: BinaryIO,
+    *,
+    limits: Limits | None = None,
+    data: Mapping[str, Any] | None = None,
+) -> None:
     """Everything as arrays without pickle: the keys of the JSON document, joined by `_` where they are nested.
 
     Per node: `nodes_tolerance` and so on (N,); `nodes_P`, `nodes_V` (N, n, n). Gains and weights are packed as in
     `Deployment`: `neighbour_offsets` (N + 1,), `neighbours` and `weights` (L,), `gain_offsets` (L + 1,) and
     `gains` (M, n), whose rows are the columns of G_k.
     """
-    record = TableRecord.of(table, limits)
+    record = TableRecord.of(table, limits, data)
     deployment = Deployment.of(table)
     limits_of_centre = {f"central_limits_{key}": value for key, value in (record.central_limits or {}).items()}
     heading = record.heading()
@@ -29,6 +36,7 @@ def write_npz(table: ToleranceTable, file: BinaryIO, *, limits: Limits | None = 
         "tolerance": record.tolerance,
         "problem_name": problem["name"],
         "problem_sha256": problem["sha256"] or "",
+        **{f"data_{key}": value for key, value in (record.data or {}).items()},
         **{f"central_{key}": value for key, value in record.central.items()},
         **limits_of_centre,
         "central_P": table.central.P,
@@ -54,5 +62,6 @@ def write_parquet(record: TableRecord, file: BinaryIO) -> None:
         key: column if column.dtype.kind in "if" else column.tolist() for key, column in record.columns.items()
     }
     central = plain({**record.central, "limits": record.central_limits or {}})
-    metadata = {"tolnet": json.dumps({**record.heading(), "central": central}, allow_nan=False)}
+    heading = {**record.heading(), "data": plain(record.data), "central": central}
+    metadata = {"tolnet": json.dumps(heading, allow_nan=False)}
     pyarrow.parquet.write_table(pyarrow.table(columns, metadata=metadata), file)

@@ -48,7 +48,8 @@ class TableRecord:
 
     `central` has the keys of CENTRAL; `nodes` the columns of NODES, each of length N, and `name` where the nodes have
     names; `central_limits` and `node_limits` those of LIMITS, where the limits were asked for. Tolerances and limits
-    are in `convention`; NaN stands for a value that does not exist.
+    are in `convention`; NaN stands for a value that does not exist. `data` says how the tolerance was estimated,
+    where it was.
     """
 
     problem: str
@@ -61,10 +62,13 @@ class TableRecord:
     nodes: Mapping[str, ndarray]
     central_limits: Mapping[str, float] | None = None
     node_limits: Mapping[str, ndarray] | None = None
+    data: Mapping[str, Any] | None = None
 
     @classmethod
-    def of(cls, table: ToleranceTable, limits: Limits | None = None) -> TableRecord:
-        """What is written of a table, with its limits where they are given."""
+    def of(
+        cls, table: ToleranceTable, limits: Limits | None = None, data: Mapping[str, Any] | None = None
+    ) -> TableRecord:
+        """What is written of a table, with its limits and what is known of its data where they are given."""
         network, central, local = table.network, table.central, table.local
         names = {} if network.names is None else {"name": np.array(network.names)}
         columns = {
@@ -89,6 +93,7 @@ class TableRecord:
             nodes={"node": columns.pop("node"), **names, **columns},
             central_limits=limits and {key: float(getattr(limits[0], key)) / scale for key in LIMITS},
             node_limits=limits and {key: getattr(limits[1], key) / scale for key in LIMITS},
+            data=data,
         )
 
     @property

@@ -5,43 +5,53 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from tolnet.design.export.deployment import Deployment
+from tolnet.design.export.reasons import Reasons
 from tolnet.design.export.record import Limits, TableRecord, plain
 from tolnet.model import ToleranceTable
 
 
-def table_json(table: ToleranceTable, *, limits: Limits | None = None, full: bool = False) -> Iterator[str]:
+def table_json(
+    table: ToleranceTable,
+    *,
+    limits: Limits | None = None,
+    full: bool = False,
+    data: Mapping[str, Any] | None = None,
+) -> Iterator[str]:
     """The document `tolnet.table/1` in pieces, a line a node. `full` adds P, V, the gain and W's column.
 
-    Floats are written so that reading them back gives the same double.
+    Beside every `status` stands a `reason`, null where that is `ok`. Floats are written so that reading them back
+    gives the same double.
     """
-    record = TableRecord.of(table, limits)
-    central: dict[str, Any] = plain(record.central)
+    record, reasons = TableRecord.of(table, limits, data), Reasons(table)
+    central: dict[str, Any] = {**plain(record.central), "reason": reasons.of(None)}
     if record.central_limits is not None:
         central["limits"] = plain(record.central_limits)
     if full:
         central |= {"P": plain(table.central.P), "V": plain(table.central.V)}
     yield "{\n"
-    for key, value in {**record.heading(), "central": central}.items():
+    estimated = {} if data is None else {"data": plain(data)}
+    for key, value in {**record.heading(), **estimated, "central": central}.items():
         yield f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)},\n"
     yield '  "nodes": ['
     separator = "\n"
-    for node in _nodes(table, record, full):
+    for node in _nodes(table, record, reasons, full):
         yield f"{separator}    {json.dumps(node, allow_nan=False)}"
         separator = ",\n"
     yield "\n  ]\n}\n"
 
 
-def _nodes(table: ToleranceTable, record: TableRecord, full: bool) -> Iterator[dict[str, Any]]:
+def _nodes(table: ToleranceTable, record: TableRecord, reasons: Reasons, full: bool) -> Iterator[dict[str, Any]]:
     deployment = Deployment.of(table) if full else None
-    own = len(record.nodes)
+    own, settles = len(record.nodes), table.local.settles.tolist()
     for k, row in enumerate(record.rows()):
         node = dict(zip(record.nodes, map(plain, row[:own]), strict=True))
+        node["reason"] = None if settles[k] else reasons.of(k)
         if record.node_limits is not None:
             node["limits"] = dict(zip(record.node_limits, map(plain, row[own:]), strict=True))
         if deployment is not None:
@@ -66,8 +76,8 @@ def table_csv(record: TableRecord) -> Iterator[str]:
 
     A value that does not exist is an empty cell, infinity is `inf`; floats read back as the same double.
     """
-    central = {"central": {**record.central, "limits": record.central_limits or {}}}
-    for key, value in _flat({**record.heading(), **central}):
+    rest = {"data": record.data or {}, "central": {**record.central, "limits": record.central_limits or {}}}
+    for key, value in _flat({**record.heading(), **rest}):
         yield f"# {key}: {json.dumps(plain(value), allow_nan=False)}\n"
     line = io.StringIO()
     writer = csv.writer(line, lineterminator="\n")
@@ -118,6 +128,8 @@ def table_markdown(record: TableRecord) -> Iterator[str]:
         f"- central filter: theta = {cell(central['theta'])}, tr P = {cell(central['trace_P'])},"
         f" tr V = {cell(central['trace_V'])}, attraction = {cell(central['attraction'])}, {central['status']}\n"
     )
+    if record.data is not None:
+        yield f"- tolerance from data: {', '.join(f'{key} {cell(value)}' for key, value in record.data.items())}\n"
     if record.central_limits is not None:
         limits = (f"{HEADS[f'limits_{key}']} {cell(value)}" for key, value in record.central_limits.items())
         yield f"- limits of c for the central filter: {', '.join(limits)}\n"

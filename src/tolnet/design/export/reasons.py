@@ -1,0 +1,74 @@
+"""Why a filter has no answer, in words: the one place where such messages are made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from tolnet.analysis import Detectability, detectability
+from tolnet.model import Status, SteadyState, ToleranceTable
+
+NAMED_AT_MOST = 10
+_MODES_AT_MOST = 3
+
+
+class Reasons:
+    """The statuses of a table's filters, and what they mean for their deployment."""
+
+    def __init__(self, table: ToleranceTable) -> None:
+        self._table = table
+
+    def of(self, k: int | None) -> str | None:
+        """Why the filter of node k (None: of the centre) is not ok; None where it is."""
+        filter = self._table.central if k is None else self._table.local[k]
+        return None if filter.settles else self._reason(filter, k)
+
+    def offenders(self) -> Iterator[str]:
+        """One line for the centre and for each node that is not ok, up to NAMED_AT_MOST nodes, and how many more."""
+        table, network = self._table, self._table.network
+        if not table.central.settles:
+            yield f"central filter: {table.central.status}: {self.of(None)}"
+        bad = np.flatnonzero(~table.local.settles)
+        for k in bad[:NAMED_AT_MOST].tolist():
+            name = f" ({network.label(k)})" if network.names else ""
+            yield f"node {k}{name}: {table.local.status[k]}: {self.of(k)}"
+        if bad.size > NAMED_AT_MOST:
+            yield f"... and {bad.size - NAMED_AT_MOST:,} more nodes; --json names them all"
+
+    @cached_property
+    def _seen(self) -> Detectability:
+        return detectability(self._table.network)
+
+    def _reason(self, filter: SteadyState, k: int | None) -> str:
+        seen, status = self._seen, str(filter.status)
+        if k is not None and not np.isfinite(filter.tolerance) and seen.detectable[k] and seen.stabilisable:
+            return "the central filter has no answer, so there is no c_k"
+        match status:
+            case Status.UNDETECTABLE:
+                heard = "no sensor" if k is None else f"no sensor that it hears (nodes {self._heard(k)})"
+                return f"{heard} sees all of {_modes(seen.offending(k))}"
+            case Status.UNSTABILISABLE:
+                return f"the process noise does not drive all of {_modes(seen.offending_undriven())}"
+            case Status.OSCILLATES:
+                return (
+                    "a steady state exists, but the filter never settles on it (attraction"
+                    f" {float(filter.attraction):.4g} is not below 1); a smaller tolerance settles"
+                )
+            case Status.DIVERGES:
+                return "the covariance grows without bound at this tolerance; a smaller one may have an answer"
+            case _:
+                return "none was found at this tolerance; a smaller one may have an answer"
+
+    def _heard(self, k: int) -> str:
+        heard = self._table.network.neighbours(k).tolist()
+        return ", ".join(map(str, heard[:NAMED_AT_MOST])) + (", ..." if len(heard) > NAMED_AT_MOST else "")
+
+
+def _modes(modes: Sequence[object]) -> str:
+    """The modes of A that do not decay, as people write eigenvalues."""
+    shown = ", ".join(map(str, modes[:_MODES_AT_MOST])) + (", ..." if len(modes) > _MODES_AT_MOST else "")
+    return (
+        f"the mode{'s' if len(modes) > 1 else ''} {shown} of A, which {'do' if len(modes) > 1 else 'does'} not decay"
+    )
