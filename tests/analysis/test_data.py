@@ -101,6 +101,9 @@ def test_a_singular_process_noise_is_refused():
         ({"y": np.zeros((10, 3))}, ShapeError, "y has shape"),
         ({"u": np.zeros(3)}, ShapeError, "u has shape"),
         ({"y": np.full((50, 3), np.nan)}, InputError, "y has a value that is not finite"),
+        ({"x": np.full((51, 2), 1e200)}, InputError, "x is so far from the model"),
+        ({"x": np.full((51, 2), 1e308)}, InputError, "x is so far from the model"),
+        ({"y": np.full((50, 3), -1e200)}, InputError, "y is so far from the model"),
     ],
 )
 def test_bad_records(change, error, match):

@@ -24,6 +24,8 @@ from tolnet.model import Complaint, InputError, SensorNetwork, ShapeError, Unsup
 from tolnet.model.estimate import DataMethod, ToleranceEstimate
 
 _LEVEL = 0.95
+_LARGEST = 1e140
+"""Residuals beyond this many standard deviations overflow when they are squared and summed."""
 
 
 class Record(NamedTuple):
@@ -114,15 +116,20 @@ def _whitened_residuals(
     eigenvalues = np.linalg.eigvalsh(network.Q)
     if eigenvalues[0] <= n * np.finfo(float).eps * eigenvalues[-1]:
         raise UnsupportedError("plant.Q is singular: any deviation in a noiseless direction has infinite divergence")
-    process = x[1:] - x[:-1] @ network.A.T - u
-    whitened = [np.linalg.solve(np.linalg.cholesky(network.Q), process.T).T]
-    measured = y - x[:-1] @ network.C.T
-    for nodes, _, R in network.sensors.groups():
-        p = R.shape[-1]
-        columns = network.rows[nodes, None] + np.arange(p)
-        each = np.linalg.solve(np.linalg.cholesky(R), measured.T[columns])
-        whitened.append(each.reshape(len(nodes) * p, -1).T)
-    return x[:-1], np.concatenate(whitened, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
+        process = x[1:] - x[:-1] @ network.A.T - u
+        whitened = [np.linalg.solve(np.linalg.cholesky(network.Q), process.T).T]
+        measured = y - x[:-1] @ network.C.T
+        for nodes, _, R in network.sensors.groups():
+            p = R.shape[-1]
+            columns = network.rows[nodes, None] + np.arange(p)
+            each = np.linalg.solve(np.linalg.cholesky(R), measured.T[columns])
+            whitened.append(each.reshape(len(nodes) * p, -1).T)
+    z = np.concatenate(whitened, axis=1)
+    for key, values in (("x", x), ("x", z[:, :n]), ("y", z[:, n:])):
+        if not np.abs(values).max(initial=0.0) < _LARGEST:
+            raise InputError([Complaint(key, "is so far from the model that its squares overflow")])
+    return x[:-1], z
 
 
 def _divergence(x: Float[ndarray, "T n"], z: Float[ndarray, "T d"]) -> float:
