@@ -284,6 +284,16 @@ def test_validate_of_a_good_file_says_nothing(tmp_path):
     assert model.validate(path) == []
 
 
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    path = model.save(ring_projectile(), tmp_path / "ring.toml")[0]
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert model.load(path).N == 20
+
+
+def test_keys_that_are_no_text(good):
+    assert ("[7]", "is no text; keys are text") in [(c.key, c.message) for c in complaints_about({**good, 7: 1})]
+
+
 def test_every_line_names_the_file(tmp_path, good):
     import tomli_w
 

@@ -151,7 +151,7 @@ def test_spoilt_text(cuts, length):
         only_complaints(model.load, path)
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(arguments(), cuts, lengths)
 def test_a_spoilt_archive(given_arguments, cuts, length):
     with tempfile.TemporaryDirectory() as folder:
@@ -189,7 +189,7 @@ def a_graph() -> bytes:
     return stream.getvalue()
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(
     cuts,
     lengths,
@@ -218,7 +218,7 @@ def a_mat() -> bytes:
     return stream.getvalue()
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(cuts, lengths)
 def test_a_spoilt_mat(cuts, length):
     with tempfile.TemporaryDirectory() as folder:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from scipy import sparse
-from tests.model.networks import arguments
+from tests.model.networks import arguments, assert_same
 
 from tolnet.model import Ambiguity, InputError, SensorNetwork, ShapeError
 
@@ -46,6 +47,16 @@ def test_every_array_is_read_only(given_arguments):
     assert not any(array.flags.writeable for array in arrays)
     with pytest.raises(AttributeError):
         network.A = np.eye(1)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_copies_are_read_only_too():
+    network = scalar(diffusion=np.eye(3), adjacency=np.eye(3), edges=None)
+    assert network.information.any()
+    for other in (copy.deepcopy(network), pickle.loads(pickle.dumps(network))):
+        assert_same(network, other)
+        assert not isinstance(other.diffusion, str)
+        for array in (other.A, other.R, other.information, other.adjacency.indices, other.diffusion.data):
+            assert not array.flags.writeable
 
 
 @given(arguments())

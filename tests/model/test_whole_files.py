@@ -103,6 +103,13 @@ def test_targets_that_cannot_be_written(tmp_path, make, message):
         pass
 
 
+def test_a_target_that_is_write_protected(tmp_path, monkeypatch):
+    (tmp_path / "x.toml").write_bytes(b"old")
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)  # root may write everything
+    with pytest.raises(InputError, match="cannot be written: it is write-protected"):
+        model.save(ring_projectile(), tmp_path / "x.toml")
+
+
 def test_a_disk_that_is_full(tmp_path, monkeypatch):
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")

@@ -39,11 +39,6 @@ class Complaints:
                 break
             self.add(key, message)
 
-    def take(self, others: Complaints) -> None:
-        """Note all that `others` found as well."""
-        self.found.extend(others.found)
-        self.only_shapes &= others.only_shapes
-
     def error(self, source: str | None = None) -> InputError:
         """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
         return (ShapeError if self.only_shapes else InputError)(self.found, source=source)

@@ -18,7 +18,7 @@ from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
-from tolnet.model.graph import DIFFUSION_RULES, links_of, parse_adjacency, parse_diffusion
+from tolnet.model.graph import DIFFUSION_RULES, links_of, parse_adjacency, parse_diffusion, read_only
 from tolnet.model.sensors import Packed
 
 
@@ -148,6 +148,15 @@ class SensorNetwork:
             return cls(**arguments_of_mat(data))
         except InputError as error:
             raise type(error)(error.complaints, source=str(path)) from None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Copies and unpickled networks are as read-only as the first."""
+        for value in state.values():
+            if isinstance(value, ndarray):
+                frozen(value)
+            elif sparse.issparse(value):
+                read_only(value)
+        self.__dict__.update(state)
 
     @property
     def n(self) -> int:

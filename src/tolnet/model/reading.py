@@ -65,7 +65,7 @@ def _mapping(data: bytes, source: str) -> dict[str, Any]:
     if not data.strip():
         raise InputError("is empty; a problem file was expected", source=source)
     try:
-        return tomllib.loads(data.decode())
+        return tomllib.loads(data.decode("utf-8-sig"))  # some editors open a file with a byte order mark
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(f"is no text: line {line} holds bytes that are not UTF-8", source=source) from None

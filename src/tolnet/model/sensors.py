@@ -58,7 +58,7 @@ class Packed:
 def count(C: Any, rows: Any) -> int | None:
     """How many sensors C describes, as far as its form tells."""
     if rows is not None:
-        return len(rows) - 1 if isinstance(rows, ndarray) and rows.ndim == 1 else None
+        return max(0, len(rows) - 1) if isinstance(rows, ndarray) and rows.ndim == 1 else None
     return len(C) if by_node(C) or (isinstance(C, ndarray) and C.ndim == 3) else None
 
 
