@@ -29,7 +29,7 @@ def load(path: str | Path) -> SensorNetwork:
 
     `digest` is the SHA-256 of the bytes of the problem file followed by those of the files that it names.
     Raises InputError, which names the file and carries every complaint with its key path, for a file that is
-    missing, empty, malformed, or describes no network. Source: docs/problem-file.md.
+    missing, empty, malformed, or describes no network. The format is described by problem.schema.json.
     """
     source = str(path)
     try:

@@ -39,7 +39,7 @@ def projectile(
     Units: metres, seconds.
     The published study has 20 nodes and 37, 46 or 68 links.
     Raises InputError for a number of links that no connected graph has, or that was never met in many draws.
-    Source: A. Emanuele et al., Sensors 20(11):3244, 2020, Section 5; docs/mathematics.md, section 6.
+    Source: A. Emanuele et al., Sensors 20(11):3244, 2020, Section 5; docs/mathematics.md, section 10.
     """
     if not nodes - 1 <= links <= nodes * (nodes - 1) // 2 or nodes < 2:
         raise InputError(f"{links} links were asked for, which no connected graph of {nodes} nodes has")
