@@ -9,7 +9,7 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import diff, example, table, validate
+from tolnet.cli import diff, example, performance, table, validate
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ app = typer.Typer(
 app.command("example")(example.example)
 app.command("validate")(validate.validate)
 app.command("table")(table.table)
+app.command("performance")(performance.performance)
 app.command("diff")(diff.diff)
 
 

@@ -64,7 +64,7 @@ def diff(
     difference = compare_tables(*records, threshold=threshold)
     text = render(difference.document())
     for path in output or []:
-        write(path, text if path.suffix.lower() == ".json" else difference_csv(difference))
+        write(path, [text if path.suffix.lower() == ".json" else difference_csv(difference)])
     console.document([text])
     console.show(*difference_view(difference))
     if not output:

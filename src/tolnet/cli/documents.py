@@ -1,41 +1,61 @@
-"""JSON documents that are not tables: how they open, and how they are written."""
+"""Documents that are not tables: how they are written."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tolnet import __version__
-
 if TYPE_CHECKING:
-    from tolnet.model import SensorNetwork
+    from tolnet.report.filters import FilterReport
 
-
-def opening(schema: str, network: SensorNetwork | None, status: str) -> dict[str, Any]:
-    """The keys that open every document; null for what does not exist."""
-    own = network.ambiguity if network is not None else None
-    return {
-        "schema": schema,
-        "tolnet": __version__,
-        "problem": None if network is None else {"name": network.name, "sha256": network.digest},
-        "convention": own and own.convention,
-        "tau": own and own.tau,
-        "tolerance": own and own.tolerance,
-        "status": status,
-    }
+REPORT_SUFFIXES = (".json", ".csv", ".npz", ".md")
 
 
 def render(document: dict[str, Any]) -> str:
-    """A document as text: null for NaN, "inf" for infinity, floats that read back as the same double."""
+    """A document as text: null for NaN, "inf" for infinity, floats that read back as the same double.
+
+    Objects that hold objects or lists are spread over lines, and so are lists of objects and lists of lists.
+    """
     from tolnet.design.export import plain
 
-    return json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
+    return _spread(plain(document), "") + "\n"
 
 
-def write(path: Path, text: str) -> None:
+def _spread(value: Any, margin: str) -> str:
+    inner, nested = margin + "  ", (dict, list)
+    if isinstance(value, dict) and (not margin or any(isinstance(item, nested) for item in value.values())):
+        lines = [f"{inner}{json.dumps(key)}: {_spread(item, inner)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{margin}}}"
+    if isinstance(value, list) and any(isinstance(item, nested) for item in value):
+        lines = [f"{inner}{json.dumps(item, allow_nan=False)}" for item in value]
+        return "[\n" + ",\n".join(lines) + f"\n{margin}]"
+    return json.dumps(value, allow_nan=False)
+
+
+def write(path: Path, pieces: Iterable[str]) -> None:
     """Write a text file, whole or not at all."""
     from tolnet.model import replacing
 
     with replacing(path) as file:
-        file.write(text.encode())
+        for piece in pieces:
+            file.write(piece.encode())
+
+
+def write_report(report: FilterReport, path: Path) -> None:
+    """Write what is reported of filters in the format that the suffix names, one of REPORT_SUFFIXES."""
+    import numpy as np
+
+    from tolnet.model import replacing
+
+    match path.suffix.lower():
+        case ".npz":
+            with replacing(path) as file:
+                np.savez(file, allow_pickle=False, **report.arrays())
+        case ".csv":
+            write(path, report.csv())
+        case ".md":
+            write(path, report.markdown())
+        case _:
+            write(path, [render(report.document())])

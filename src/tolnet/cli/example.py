@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tolnet.cli.console import Console
-from tolnet.cli.documents import opening, render
+from tolnet.cli.documents import render
 from tolnet.cli.options import AsJson, Quiet, check_outputs
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def example(
 
 def _list(console: Console) -> None:
     from tolnet import model
+    from tolnet.design.export import opening
 
     known = model.example_names()
     listed = [{"name": name, "description": description} for name, description in known.items()]
@@ -61,6 +62,7 @@ def _list(console: Console) -> None:
 
 def _write(network: SensorNetwork, path: Path, console: Console) -> None:
     from tolnet import model
+    from tolnet.design.export import opening
 
     written = [str(file) for file in model.save(network, path)]
     saved = model.load(path)
@@ -73,6 +75,7 @@ def _write(network: SensorNetwork, path: Path, console: Console) -> None:
 def _print(network: SensorNetwork, console: Console) -> None:
     """The problem file on standard output, where it is one file."""
     from tolnet import model
+    from tolnet.design.export import opening
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "problem.toml"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from tolnet.cli.console import Console, complain
-from tolnet.cli.documents import opening, render, write
+from tolnet.cli.documents import render, write
 from tolnet.cli.options import AsJson, Outputs, Problem, Quiet, check_outputs, open_problem
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def validate(problem: Problem, output: Outputs = None, json: AsJson = False, qui
         complaints = list(error.complaints)
     document = _document(network if not complaints else None, complaints)
     for path in output or []:
-        write(path, render(document))
+        write(path, [render(document)])
     console.document([render(document)])
     if complaints:
         complain(f"{problem}: {complaint}" for complaint in complaints)
@@ -57,6 +57,8 @@ def _refused_by_design(network: SensorNetwork) -> list[Complaint]:
 
 
 def _document(network: SensorNetwork | None, complaints: list[Complaint]) -> dict[str, Any]:
+    from tolnet.design.export import opening
+
     document = opening("tolnet.validation/1", network, "invalid" if complaints else "ok")
     if network is not None:
         document |= _facts(network)

@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from tolnet.design.export import TableRecord, plain
 from tolnet.model import gamma_per
+from tolnet.report.table import empty_table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -129,9 +130,6 @@ def _values(record: TableRecord, k: int, unit: float = 1.0) -> dict[str, Any]:
 
 def difference_view(difference: TableDifference) -> Iterator[RenderableType]:
     """The difference as people read it: what is compared, the nodes that changed most, those that came and went."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     old, new = difference.old, difference.new
     for sign, record in (("-", old), ("+", new)):
         digest = f", SHA-256 {record.sha256[:12]}..." if record.sha256 else ""
@@ -141,11 +139,8 @@ def difference_view(difference: TableDifference) -> Iterator[RenderableType]:
         yield "the tables belong to different divergences (tau): their tolerances are on different scales"
     rows = list(difference.rows())
     if rows:
-        table = Table(box=SIMPLE_HEAD, padding=(0, 1), show_edge=False)
-        table.add_column("node", justify="right")
-        for head in ("c_k", "change", "theta_k", "change", "tr V_k", "change"):
-            table.add_column(head, justify="right", no_wrap=True)
-        table.add_column("status", no_wrap=True)
+        heads = ("node", "c_k", "change", "theta_k", "change", "tr V_k", "change", "status")
+        table = empty_table(heads, words=("status",))
         for row in rows[:_ROWS_SHOWN]:
             cells = [text for key in QUANTITIES for text in (_cell(row["new"][key]), _percent(row["relative"][key]))]
             words = row["old"]["status"], row["new"]["status"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,6 +85,14 @@ def summary(record: TableRecord) -> str:
     )
 
 
+def empty_table(heads: Iterable[str], words: Container[str]) -> Table:
+    """A table for a terminal; the columns named in `words` stand on the left."""
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1), show_edge=False)
+    for head in heads:
+        table.add_column(head, justify="left" if head in words else "right", no_wrap=head not in ("name", "node"))
+    return table
+
+
 def _limits(record: TableRecord, shown: Int[ndarray, " rows"]) -> Iterator[RenderableType]:
     node, centre = record.node_limits or {}, record.central_limits or {}
     limits = ", ".join(f"{HEADS[f'limits_{key}']} {_number(value)}" for key, value in centre.items())
@@ -95,9 +103,7 @@ def _limits(record: TableRecord, shown: Int[ndarray, " rows"]) -> Iterator[Rende
 
 
 def _rows(columns: Mapping[str, ndarray], keys: list[str], shown: Int[ndarray, " rows"]) -> Table:
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1), show_edge=False)
-    for key in keys:
-        table.add_column(HEADS[key], justify="left" if key in ("name", "status") else "right", no_wrap=key != "name")
+    table = empty_table([HEADS[key] for key in keys], words=("name", "status"))
     previous = -1
     for k in shown.tolist():
         if k != previous + 1:

@@ -11,8 +11,17 @@ from tolnet.design.export.arrays import write_npz, write_parquet
 from tolnet.design.export.header import table_header
 from tolnet.design.export.reading import read_table
 from tolnet.design.export.reasons import Reasons
-from tolnet.design.export.record import Limits, TableRecord, plain
-from tolnet.design.export.text import HEADS, cell, table_csv, table_json, table_markdown
+from tolnet.design.export.record import Limits, TableRecord, opening, plain
+from tolnet.design.export.text import (
+    HEADS,
+    cell,
+    csv_lines,
+    flat,
+    markdown_table,
+    table_csv,
+    table_json,
+    table_markdown,
+)
 from tolnet.model import InputError, ToleranceTable, UnsupportedError, check_writable, replacing
 
 __all__ = [
@@ -22,7 +31,11 @@ __all__ = [
     "TableRecord",
     "cell",
     "check_table_path",
+    "csv_lines",
     "export_table",
+    "flat",
+    "markdown_table",
+    "opening",
     "plain",
     "read_table",
     "table_json",

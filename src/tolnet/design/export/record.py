@@ -12,7 +12,15 @@ import numpy as np
 from numpy import ndarray
 
 from tolnet import __version__
-from tolnet.model import Convention, Status, ToleranceLimits, ToleranceTable, gamma_per
+from tolnet.model import (
+    Ambiguity,
+    Convention,
+    SensorNetwork,
+    Status,
+    ToleranceLimits,
+    ToleranceTable,
+    gamma_per,
+)
 
 SCHEMA = "tolnet.table/1"
 CENTRAL = ("theta", "trace_P", "trace_V", "attraction", "status")
@@ -125,6 +133,25 @@ class TableRecord:
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """The rows of `columns`, one a node, as Python values."""
         return zip(*(column.tolist() for column in self.columns.values()), strict=True)
+
+
+def opening(
+    schema: str, network: SensorNetwork | None, status: str, ambiguity: Ambiguity | None = None
+) -> dict[str, Any]:
+    """The keys that open every document; null for what does not exist. `ambiguity` takes the place of the network's.
+
+    A table's heading has the same keys from its record, which may have been read from a file.
+    """
+    set_ = ambiguity or (network.ambiguity if network is not None else None)
+    return {
+        "schema": schema,
+        "tolnet": __version__,
+        "problem": None if network is None else {"name": network.name, "sha256": network.digest},
+        "convention": set_ and set_.convention,
+        "tau": set_ and set_.tau,
+        "tolerance": set_ and set_.tolerance,
+        "status": status,
+    }
 
 
 def plain(value: Any) -> Any:

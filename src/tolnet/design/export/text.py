@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,17 +72,22 @@ def _deployed(table: ToleranceTable, deployment: Deployment, k: int) -> dict[str
 
 
 def table_csv(record: TableRecord) -> Iterator[str]:
-    """One row a node under a line of column names, after comment lines `# key: value` with the rest, values as JSON.
+    """One row a node, the rest in comment lines."""
+    rest = {"data": record.data or {}, "central": {**record.central, "limits": record.central_limits or {}}}
+    yield from csv_lines({**record.heading(), **rest}, record.columns, record.rows())
+
+
+def csv_lines(heading: Mapping[str, Any], columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> Iterator[str]:
+    """Rows under a line of column names, after comment lines `# key: value` with the heading, values as JSON.
 
     A value that does not exist is an empty cell, infinity is `inf`; floats read back as the same double.
     """
-    rest = {"data": record.data or {}, "central": {**record.central, "limits": record.central_limits or {}}}
-    for key, value in _flat({**record.heading(), **rest}):
+    for key, value in flat(heading):
         yield f"# {key}: {json.dumps(plain(value), allow_nan=False)}\n"
     line = io.StringIO()
     writer = csv.writer(line, lineterminator="\n")
-    writer.writerow(record.columns)
-    for row in record.rows():
+    writer.writerow(columns)
+    for row in rows:
         writer.writerow(["" if value is None else value for value in map(plain, row)])
         yield line.getvalue()
         line.seek(0)
@@ -90,10 +95,11 @@ def table_csv(record: TableRecord) -> Iterator[str]:
     yield line.getvalue()
 
 
-def _flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(tree: Mapping[str, Any], joint: str = ".", prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The leaves of nested mappings, their keys joined by `joint`."""
     for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
+        if isinstance(value, Mapping):
+            yield from flat(value, joint, f"{prefix}{key}{joint}")
         else:
             yield f"{prefix}{key}", value
 
@@ -134,9 +140,15 @@ def table_markdown(record: TableRecord) -> Iterator[str]:
         limits = (f"{HEADS[f'limits_{key}']} {cell(value)}" for key, value in record.central_limits.items())
         yield f"- limits of c for the central filter: {', '.join(limits)}\n"
     columns = record.columns
-    yield f"\n| {' | '.join(HEADS[key] for key in columns)} |\n"
-    yield "|" + "|".join(" --- " if key in ("name", "status") else " ---: " for key in columns) + "|\n"
-    for row in record.rows():
+    yield "\n"
+    yield from markdown_table([HEADS[key] for key in columns], record.rows(), words=("name", "status"))
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Iterable[Any]], words: Container[str]) -> Iterator[str]:
+    """Rows under their heads, rounded for reading; the columns named in `words` stand on the left."""
+    yield f"| {' | '.join(heads)} |\n"
+    yield "|" + "|".join(" --- " if head in words else " ---: " for head in heads) + "|\n"
+    for row in rows:
         yield f"| {' | '.join(_cell(cell(value)) for value in row)} |\n"
 
 
