@@ -8,6 +8,7 @@ from tests.reference import determinants, naive_performance, recursion
 
 from tolnet import model
 from tolnet.analysis.filters import evaluate_filters, follow_filters
+from tolnet.analysis.simulation import simulate_filters
 from tolnet.design import choose_tolerances, diffusion_matrix
 from tolnet.model import SensorNetwork, UnsupportedError
 from tolnet.model.history import FILTERS
@@ -133,3 +134,19 @@ def test_tau_is_refused():
     table = choose_tolerances(network, model.Ambiguity(0.02, tau=0.5), uniform=True)
     with pytest.raises(UnsupportedError, match="tau"):
         evaluate_filters(table, diffusion_matrix(network))
+
+
+def test_without_a_tolerance_a_filter_has_no_history_while_the_others_have():
+    network = SensorNetwork(A=np.diag([1.25, 0.5]), B=[[0.0], [1.0]], C=np.ones((1, 1, 2)), R=[[[1.0]]], edges=[])
+    table, W = choose_tolerances(network, 0.01), diffusion_matrix(network)
+    assert np.isnan(table.local.tolerance).all()
+    histories, simulated = follow_filters(table, W, 5), simulate_filters(table, W, runs=60, steps=4)
+    for found in (histories, simulated):
+        assert {name for name, each in found.items() if each.status != "ok"} == {"RKFDNU2"}
+        assert found["RKFDNU2"].status == "unstabilisable"
+        assert "no c_k" in found["RKFDNU2"].reason
+    assert np.isnan(histories["RKFDNU2"].msd).all()
+    assert np.isnan(simulated["RKFDNU2"].mse).all()
+    for name in set(histories) - {"RKFDNU2"}:
+        assert np.isfinite(histories[name].msd).all()
+        assert np.isfinite(simulated[name].mse).all()

@@ -16,7 +16,7 @@ from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.local_tolerance import seen_tolerances
 from tolnet.analysis.lyapunov import Method, solve_lyapunov
 from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady_state
-from tolnet.model import SensorNetwork, SteadyState, ToleranceTable, UnsupportedError
+from tolnet.model import SensorNetwork, Status, SteadyState, ToleranceTable, UnsupportedError
 from tolnet.model.dynamics import LeastFavourableModel, Performance
 from tolnet.model.history import FILTERS, FilterHistory, FilterKind
 
@@ -163,8 +163,11 @@ def _history(
     K = len(S)
     node_msd = np.full((T + 1, K), np.nan)
     theta, tolerance = np.full((T, K), np.nan), np.full((T, K), np.nan)
-    if not model.exists:
-        return FilterHistory(kind, node_msd, theta, tolerance, model.status, model.reason)
+    status, reason = model.status, model.reason
+    if kind.ball == "c_k" and not np.isfinite(table.local.tolerance).all():
+        status, reason = Status(str(table.central.status)), "the centralised filter has no steady state, hence no c_k"
+    if not model.exists or status != model.status:
+        return FilterHistory(kind, node_msd, theta, tolerance, status, reason)
     Q = np.tile(network.initial_covariance, (K + 1, K + 1))
     node_msd[0] = np.trace(network.initial_covariance)
     blocks = (K + 1, n, (K + 1) * n)
@@ -176,4 +179,4 @@ def _history(
         node_msd[t + 1] = np.einsum("kiki->k", Q.reshape(K + 1, n, K + 1, n))[:K]
         theta[t], tolerance[t] = gains.following.theta, gains.tolerance
         step_done(t + 1)
-    return FilterHistory(kind, node_msd, theta, tolerance, model.status, model.reason)
+    return FilterHistory(kind, node_msd, theta, tolerance, status, reason)

@@ -53,22 +53,22 @@ def simulate_filters(
     horizon = steps + 1  # so that the last instant that is judged is one of the model's
     model = least_favourable_model(network, table.central, horizon)
     histories = follow_filters(table, W, horizon, filters=[kind.name for kind in chosen])
-    schedules = [_schedule(table, W, kind, steps) for kind in chosen] if model.exists else []
+    running = [kind for kind in chosen if histories[kind.name].exists]
+    schedules = [_schedule(table, W, kind, steps) for kind in running]
     sums: list[_Sums] | None = None
     done = 0
-    for batch in _map(model, schedules, runs, seed, workers) if model.exists else ():
+    for batch in _map(model, schedules, runs, seed, workers) if schedules else ():
         sums = batch if sums is None else [total.plus(more) for total, more in zip(sums, batch, strict=True)]
         done = min(done + BATCH, runs)
         if progress is not None:
             progress(done, runs)
+    counted = {kind.name: total.summary() for kind, total in zip(running, sums or (), strict=True)}
     found = {}
-    for i, kind in enumerate(chosen):
+    for kind in chosen:
         history = histories[kind.name]
         bound = np.array(history.node_msd[: steps + 1])
         nothing = np.full_like(bound, np.nan)
-        node_mse, error, inside, diverged = (
-            (nothing, nothing[:, 0], nothing, 0) if sums is None else sums[i].summary()
-        )
+        node_mse, error, inside, diverged = counted.get(kind.name, (nothing, nothing[:, 0], nothing, 0))
         found[kind.name] = Simulation(
             kind=kind,
             node_mse=node_mse,

@@ -56,6 +56,11 @@ class FilterHistory(_ReadOnly):
     reason: str
 
     @property
+    def exists(self) -> bool:
+        """Whether there are numbers."""
+        return bool(np.isfinite(self.tolerance).all())
+
+    @property
     def msd(self) -> Float[ndarray, " T1"]:
         """Mean over the nodes, eq. (40)."""
         return self.node_msd.mean(axis=1)
