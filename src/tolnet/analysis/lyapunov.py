@@ -42,7 +42,7 @@ class _Answer(NamedTuple):
     Q: Float[ndarray, "d d"] | None
 
 
-def solve_lyapunov(dynamics: ErrorDynamics, method: Method = "auto") -> Performance:
+def solve_lyapunov(dynamics: ErrorDynamics, method: Method | str = "auto") -> Performance:
     """Solve Q = F Q F' + G G' for the diagonal blocks of Q, whose traces are MSD_k, eqs. (40)-(41).
 
     `auto` takes squared Smith where F is small, and else propagates the noise and projects the slow remainder
@@ -62,14 +62,14 @@ def solve_lyapunov(dynamics: ErrorDynamics, method: Method = "auto") -> Performa
     if not np.isfinite(radii.network):
         return _refuse(dynamics, method, radii, Status.NOT_CONVERGED, "the spectral radius of F was not found")
     if not max(radii) < 1:
-        return _refuse(dynamics, method, radii, Status.UNSTABLE, f"F has the spectral radius {max(radii):.10g}")
+        return _refuse(dynamics, method, radii, Status.UNSTABLE, f"F has the spectral radius {shown(max(radii))}")
     unit = _units(dynamics)
     chosen, answer = _solve(dynamics.rescaled(unit), method)
     answer = answer._replace(error=max(answer.error, dense.data_error(max(radii))))
     if not answer.error <= _ACCEPTED:
         reason = (
             f"the error of the worst MSD is estimated at {answer.error:.2g} of it, more than {_ACCEPTED:g}"
-            f" (spectral radius {max(radii):.10g}, relative residual {answer.residual:.2g})"
+            f" (spectral radius {shown(max(radii))}, relative residual {answer.residual:.2g})"
         )
         return _refuse(dynamics, chosen, radii, Status.NOT_CONVERGED, reason, answer)
     back = unit * unit[:, None]
@@ -115,6 +115,12 @@ def _refuse(
     )
 
 
+def shown(radius: float) -> str:
+    """A spectral radius in words; near 1, its distance from 1."""
+    gap = 1 - radius
+    return f"{radius:.6f}" if abs(gap) > 1e-4 else f"1 {'-' if gap >= 0 else '+'} {abs(gap):.3g}"
+
+
 def _units(dynamics: ErrorDynamics) -> Float[ndarray, " n"]:
     """Powers of two near the standard deviations of the centre's errors: no state drowns in another's unit."""
     deviation = np.sqrt(np.diagonal(dynamics.model.V))
@@ -122,7 +128,7 @@ def _units(dynamics: ErrorDynamics) -> Float[ndarray, " n"]:
     return 2.0 ** np.round(np.log2(positive))
 
 
-def _solve(dynamics: ErrorDynamics, method: Method) -> tuple[str, _Answer]:
+def _solve(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer]:
     """The method that was chosen, and its answer; filters that do not mix are solved apart where Q is not wanted."""
     islands = dynamics.islands() if method in ("auto", "projected") else []
     if len(islands) <= 1:
@@ -143,7 +149,7 @@ def _solve(dynamics: ErrorDynamics, method: Method) -> tuple[str, _Answer]:
     )
 
 
-def _solve_connected(dynamics: ErrorDynamics, method: Method) -> tuple[str, _Answer]:
+def _solve_connected(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer]:
     if method == "projected" or (method == "auto" and dynamics.dimension > _SMALL):
         answer = _projected(dynamics)
         if method == "projected" or answer.error <= _WANTED or dynamics.dimension > _LARGEST_DENSE:

@@ -60,6 +60,11 @@ def solve_projected(dynamics: ErrorDynamics, wanted: float) -> ProjectedSolution
 
     Assumes rho(F) < 1. Gives up where more steps gain nothing, with the best that it found: look at the error.
     """
+    with np.errstate(over="ignore", invalid="ignore"):  # growth shows as a value that is not finite
+        return _solve(dynamics, wanted)
+
+
+def _solve(dynamics: ErrorDynamics, wanted: float) -> ProjectedSolution:
     columns = _Columns(dynamics, _Probe(dynamics))
     width = max(_LEAST, dynamics.dimension // _SHARE)
     best = _nothing(dynamics)
@@ -69,14 +74,14 @@ def solve_projected(dynamics: ErrorDynamics, wanted: float) -> ProjectedSolution
         V, parts = columns.range(width if steps < _PATIENCE else 2 * width)
         if not np.isfinite(parts).all():
             break
-        if parts[-1] > _LOW_RANK and not columns.is_all(len(parts)):
+        if parts[-1] > _LOW_RANK and len(parts) < dynamics.dimension:
             # singular values fall like powers: how many steps bring the last one down
             steps = int(steps * np.clip(_MARGIN * np.log(_LOW_RANK) / np.log(min(parts[-1], 0.5)), 1.2, 2.0))
             continue
         found = _compare(_assemble(columns, _project(dynamics, columns, V, parts)), best)
         gained = found.error < 0.25 * best.error
         best = found if found.error < best.error else best
-        if best.error <= wanted or not gained:
+        if best.error <= wanted or (best.residual <= _FLOOR and not gained):
             break
         steps = int(1.5 * steps)
     return best
@@ -146,27 +151,29 @@ class _Columns:
         for i in range(0, len(self.batches), each):
             yield np.concatenate(self.batches[i : i + each], axis=2).reshape(self.dynamics.dimension, -1)
 
-    def range(self, width: int) -> tuple[Float[ndarray, "d w"], Float[ndarray, " w"]]:
+    def range(self, full: int) -> tuple[Float[ndarray, "d w"], Float[ndarray, " w"]]:
         """An orthonormal basis of the range of Y, and which part of Y each direction adds to those before it.
 
         From Y Omega with a standard normal Omega: the i-th pivot of its QR decomposition is what i - 1 random
-        combinations of the columns leave of another one. All parts are zero where Y itself adds nothing to Q.
+        combinations of the columns leave of another one. All parts are zero where Y itself adds nothing to Q. Up to
+        `full` directions.
         """
         rng = np.random.default_rng(2)
-        width = min(width, self.dynamics.columns, self.dynamics.dimension)
+        width = min(full, self.dynamics.columns, self.dynamics.dimension)
         sketch, energy = np.zeros((self.dynamics.dimension, width)), 0.0
         for y in self.wide():
             sketch += y @ rng.normal(size=(y.shape[1], width))
             energy += np.vdot(y, y)
         if not energy > _NOTHING * np.trace(self.blocks.sum(axis=0)):
             return sketch, np.zeros(width)
-        V, upper = np.linalg.qr(sketch)
-        pivots = np.abs(np.diagonal(upper))
-        return V, pivots / pivots[0]
-
-    def is_all(self, width: int) -> bool:
-        """Whether that many directions are all that there can be."""
-        return width >= min(self.dynamics.columns, self.dynamics.dimension)
+        V, parts = _orthonormal(sketch)
+        rank, room = int(np.count_nonzero(parts > _CUTS[0])), min(full, self.dynamics.dimension)
+        if 2 * rank <= room or rank < room == self.dynamics.dimension:  # Y is used up: add what follows it in time
+            later = [sketch[:, :rank]]
+            while sum(part.shape[1] for part in later) < room:
+                later.append(_step(self.dynamics, later[-1]))
+            V, parts = _orthonormal(np.concatenate(later, axis=1)[:, :room])
+        return V, parts
 
     def gramian(self, V: Float[ndarray, "d r"]) -> Float[ndarray, "r r"]:
         """(V' Y) (V' Y)'."""
@@ -190,13 +197,21 @@ def _project(
 ) -> _Tail:
     """The tail V X V', X = H X H' + C C', and the factor by which H may turn a residual into an error."""
     H, CC = V.T @ _step(dynamics, V), columns.gramian(V)
-    r, X = 0, np.zeros((0, 0))
+    kept, X = np.empty(0, dtype=int), np.zeros((0, 0))
     for cut in _CUTS:
-        r = int(np.count_nonzero(parts > cut))
-        X = solve_smith(H[:r, :r], CC[:r, :r]).X
+        kept = np.flatnonzero(parts > cut)
+        X = solve_smith(H[np.ix_(kept, kept)], CC[np.ix_(kept, kept)]).X
         if np.isfinite(X).all():
             break
-    return _Tail(np.ascontiguousarray(V[:, :r]), X, amplification(H[:r, :r]) if r and np.isfinite(X).all() else 1.0)
+    factor = amplification(H[np.ix_(kept, kept)]) if len(kept) and np.isfinite(X).all() else 1.0
+    return _Tail(V[:, kept], X, factor)
+
+
+def _orthonormal(sketch: Float[ndarray, "d w"]) -> tuple[Float[ndarray, "d w"], Float[ndarray, " w"]]:
+    """Q of a QR decomposition, and its pivots in parts of the first."""
+    V, upper = np.linalg.qr(sketch)
+    pivots = np.abs(np.diagonal(upper))
+    return V, pivots / pivots[0]
 
 
 def _step(dynamics: ErrorDynamics, V: Float[ndarray, "d r"]) -> Float[ndarray, "d r"]:
