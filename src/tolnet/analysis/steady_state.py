@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.continuation import solve_fixed_points, wander
+from tolnet.analysis.continuation import ACCEPT, solve_fixed_points, wander
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, step
@@ -157,6 +157,7 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
         M = (taken.AZ / v[:, None, :]) @ at.U.mT
         attracts = attraction(derivative(recursion, taken))
         defect = stacked.norm(taken.following - P) / stacked.norm(P)
+        found = found & (defect <= ACCEPT)  # the solver's word is not taken for it
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
         mismatch = np.where(c > 0, np.abs(divergence_now - c) / np.where(c > 0, c, 1.0), 0.0)
         values = {

@@ -128,7 +128,10 @@ def _observation(C_k: Any, n: int | None, key: str, complaints: Complaints) -> n
 
 
 def _checked_offsets(C: ndarray, rows: Any, complaints: Complaints) -> tuple[ndarray, ndarray, set[int]] | None:
-    given = np.asarray(rows)
+    try:
+        given = np.asarray(rows)
+    except ValueError:  # a ragged list
+        given = np.empty(0)
     whole = given.dtype.kind in "iu" and given.ndim == 1 and given.size >= 2
     # Compared before any conversion: an offset beyond int64 is out of range as it stands.
     if not whole or given[0] != 0 or given[-1] != len(C) or (given[1:] < given[:-1]).any():
