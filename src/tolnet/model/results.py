@@ -169,7 +169,7 @@ class ToleranceLimits(_ReadOnly):
     """
 
     fold: Float[ndarray, "*K"]
-    """Where theta stops rising with c; the least favourable model of a centre exists only below (docs/mathematics.md, section 7)."""
+    """Where theta stops rising with c; the least favourable model of a centre exists only below (section 7)."""
     attracts: Float[ndarray, "*K"]
     """The smallest c at which the steady state stops attracting: below it, a deployed filter settles."""
     exists: Float[ndarray, "*K"]
