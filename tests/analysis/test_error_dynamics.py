@@ -1,5 +1,7 @@
 """F and G: against eqs. (35)-(37) as printed, with stacked outputs and explicit inverses."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -124,12 +126,39 @@ def test_islands_are_the_groups_that_mix():
     W[0, 1], W[1, 1] = 0.3, 0.7
     dynamics = error_dynamics(network, table.local, sparse.csr_array(W), model)
     islands = dynamics.islands()
-    assert sorted(tuple(members) for members, _ in islands) == [(0, 1), *((k,) for k in range(2, network.N))]
+    assert sorted(tuple(island.filters) for island in islands) == [(0, 1), *((k,) for k in range(2, network.N))]
     F, D, n = dynamics.matrix(), dynamics.noise_matrix(), network.n
-    for members, part in islands:
-        rows = (np.append(members, network.N)[:, None] * n + np.arange(n)).ravel()
+    for members, states, part in islands:
+        rows = (np.append(members, network.N)[:, None] * n + states).ravel()
         close(part.matrix(), F[np.ix_(rows, rows)])
         close(part.noise_matrix(), D[np.ix_(rows, rows)])
+
+
+def test_axes_that_nothing_couples_are_islands():
+    network = ring_projectile()
+    table = choose_tolerances(network)
+    model = least_favourable_model(network, table.central)
+    dynamics = error_dynamics(network, table.local, diffusion_matrix(network), model)
+    islands = dynamics.islands()
+    assert [island.states.tolist() for island in islands] == [[0, 3], [1, 4], [2, 5]]
+    assert sum(len(island.dynamics.channels) for island in islands) == len(dynamics.channels)
+    F, D = dynamics.matrix(), dynamics.noise_matrix()
+    for _, states, part in islands:
+        rows = (np.arange(21)[:, None] * 6 + states).ravel()
+        close(part.matrix(), F[np.ix_(rows, rows)])
+        close(part.noise_matrix(), D[np.ix_(rows, rows)])
+        others = np.setdiff1d(np.arange(126), rows)
+        assert np.abs(F[np.ix_(rows, others)]).max() < 1e-14
+
+
+def test_axes_that_a_gain_couples_are_no_islands():
+    network = ring_projectile()
+    table = choose_tolerances(network)
+    model = least_favourable_model(network, table.central)
+    dynamics = error_dynamics(network, table.local, diffusion_matrix(network), model)
+    loops = dynamics.loops.copy()
+    loops[7, 0, 1] = 1e-6
+    assert len(dataclasses.replace(dynamics, loops=loops).islands()) == 1
 
 
 def test_who_has_no_steady_state_is_named():

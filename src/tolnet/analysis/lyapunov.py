@@ -16,7 +16,7 @@ from tolnet.model import ErrorDynamics, Performance, Status, UnsupportedError
 
 Method = Literal["auto", "projected", "smith", "scipy", "slycot"]
 
-_SMALL = 240
+_SMALL = 150
 """Up to this dimension squared Smith is the fastest."""
 _LARGEST_DENSE = 2000
 """Where projection fails, `auto` goes on with squared Smith up to this dimension: some seconds."""
@@ -129,14 +129,14 @@ def _units(dynamics: ErrorDynamics) -> Float[ndarray, " n"]:
 
 
 def _solve(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer]:
-    """The method that was chosen, and its answer; filters that do not mix are solved apart where Q is not wanted."""
-    islands = dynamics.islands() if method in ("auto", "projected") else []
+    """The method that was chosen, and its answer; parts that nothing connects are solved apart."""
+    islands = dynamics.islands() if method in ("auto", "projected") and dynamics.dimension > _SMALL else []
     if len(islands) <= 1:
         return _solve_connected(dynamics, method)
-    blocks = np.empty((dynamics.filters + 1, dynamics.n, dynamics.n))
-    solved = [_solve_connected(part, method) for _, part in islands]
-    for (members, _), (_, answer) in zip(islands, solved, strict=True):
-        blocks[np.append(members, dynamics.filters)] = answer.blocks
+    blocks = np.zeros((dynamics.filters + 1, dynamics.n, dynamics.n))
+    solved = [_solve_connected(island.dynamics, method) for island in islands]
+    for island, (_, answer) in zip(islands, solved, strict=True):
+        blocks[np.ix_(np.append(island.filters, dynamics.filters), island.states, island.states)] = answer.blocks
     name = "projected" if any(name == "projected" for name, _ in solved) else "smith"
     answers = [answer for _, answer in solved]
     return name, _Answer(

@@ -36,7 +36,7 @@ _LOW_RANK = 1e-13
 _CUTS = (1e-14, 1e-12, 1e-10)
 """Directions below this part of the largest are left out; more of them where rounding makes H unstable."""
 _NOTHING = 1e-17
-_MARGIN = 1.15
+_MARGIN = 1.3
 """How much further than extrapolated: the first directions fall faster than the last."""
 _FLOOR = 1e-13
 """A relative residual below which two solutions may be compared instead of bounding the error by the residual."""
@@ -71,13 +71,15 @@ def _solve(dynamics: ErrorDynamics, wanted: float) -> ProjectedSolution:
     steps = _FIRST
     while steps <= _MOST:
         columns.propagate(steps)
-        V, parts = columns.range(width if steps < _PATIENCE else 2 * width)
-        if not np.isfinite(parts).all():
+        directions = min(width if steps < _PATIENCE else 2 * width, dynamics.dimension)
+        last = columns.glance(directions)
+        if not np.isfinite(last):
             break
-        if parts[-1] > _LOW_RANK and len(parts) < dynamics.dimension:
+        if last > _LOW_RANK and directions < dynamics.dimension:
             # singular values fall like powers: how many steps bring the last one down
-            steps = int(steps * np.clip(_MARGIN * np.log(_LOW_RANK) / np.log(min(parts[-1], 0.5)), 1.2, 2.0))
+            steps = int(steps * np.clip(_MARGIN * np.log(_LOW_RANK) / np.log(min(last, 0.5)), 1.2, 3.0))
             continue
+        V, parts = columns.range(directions)
         found = _compare(_assemble(columns, _project(dynamics, columns, V, parts)), best)
         gained = found.error < 0.25 * best.error
         best = found if found.error < best.error else best
@@ -151,29 +153,42 @@ class _Columns:
         for i in range(0, len(self.batches), each):
             yield np.concatenate(self.batches[i : i + each], axis=2).reshape(self.dynamics.dimension, -1)
 
-    def range(self, full: int) -> tuple[Float[ndarray, "d w"], Float[ndarray, " w"]]:
+    def glance(self, directions: int) -> float:
+        """Which part of Y its last of so many directions adds to those before it, judged by some of the rows."""
+        rng = np.random.default_rng(4)
+        rows = rng.permutation(self.dynamics.dimension)[: 2 * directions]
+        sketch = self._sketch(directions, rng, rows)
+        if not np.isfinite(sketch).all():
+            return np.inf
+        pivots = np.abs(np.diagonal(np.linalg.qr(sketch, mode="r")))
+        return float(pivots[-1] / pivots[0]) if pivots[0] > 0 else 0.0
+
+    def range(self, directions: int) -> tuple[Float[ndarray, "d w"], Float[ndarray, " w"]]:
         """An orthonormal basis of the range of Y, and which part of Y each direction adds to those before it.
 
         From Y Omega with a standard normal Omega: the i-th pivot of its QR decomposition is what i - 1 random
-        combinations of the columns leave of another one. All parts are zero where Y itself adds nothing to Q. Up to
-        `full` directions.
+        combinations of the columns leave of another one. All parts are zero where Y itself adds nothing to Q.
         """
-        rng = np.random.default_rng(2)
-        width = min(full, self.dynamics.columns, self.dynamics.dimension)
-        sketch, energy = np.zeros((self.dynamics.dimension, width)), 0.0
-        for y in self.wide():
-            sketch += y @ rng.normal(size=(y.shape[1], width))
-            energy += np.vdot(y, y)
+        sketch = self._sketch(directions, np.random.default_rng(2))
+        energy = float(sum(np.vdot(Y, Y) for Y in self.batches))
         if not energy > _NOTHING * np.trace(self.blocks.sum(axis=0)):
-            return sketch, np.zeros(width)
+            return sketch, np.zeros(sketch.shape[1])
         V, parts = _orthonormal(sketch)
-        rank, room = int(np.count_nonzero(parts > _CUTS[0])), min(full, self.dynamics.dimension)
-        if 2 * rank <= room or rank < room == self.dynamics.dimension:  # Y is used up: add what follows it in time
+        rank = int(np.count_nonzero(parts > _CUTS[0]))
+        # Y is used up, and there is room: add what follows it in time
+        if 2 * rank <= directions or rank < directions == self.dynamics.dimension:
             later = [sketch[:, :rank]]
-            while sum(part.shape[1] for part in later) < room:
+            while sum(part.shape[1] for part in later) < directions:
                 later.append(_step(self.dynamics, later[-1]))
-            V, parts = _orthonormal(np.concatenate(later, axis=1)[:, :room])
+            V, parts = _orthonormal(np.concatenate(later, axis=1)[:, :directions])
         return V, parts
+
+    def _sketch(
+        self, directions: int, rng: np.random.Generator, rows: ndarray | slice = slice(None)
+    ) -> Float[ndarray, "r w"]:
+        """Some rows of Y Omega with a standard normal Omega."""
+        width = min(directions, self.dynamics.columns)
+        return np.sum([y[rows] @ rng.normal(size=(y.shape[1], width)) for y in self.wide()], axis=0)
 
     def gramian(self, V: Float[ndarray, "d r"]) -> Float[ndarray, "r r"]:
         """(V' Y) (V' Y)'."""

@@ -10,7 +10,7 @@ from numpy import ndarray
 from tolnet.analysis import stacked
 from tolnet.model import ErrorDynamics
 
-_DENSE_BELOW = 200
+_DENSE_BELOW = 100
 _DENSE_AT_MOST = 4000
 """Where Arnoldi iterations fail, eigenvalues of the dense matrix are still computed up to this dimension."""
 _WANTED = 4
@@ -29,13 +29,13 @@ class Radii(NamedTuple):
 def spectral_radii(dynamics: ErrorDynamics) -> Radii:
     """The spectral radius of F, block by block: dense eigenvalues when small, else Arnoldi (ARPACK) on the operator.
 
-    Filters that do not mix are taken apart. ARPACK stops at a residual of rounding size; how far that is from an
-    eigenvalue depends on how far the matrix is from normal.
+    Parts that do not influence one another are taken apart. ARPACK stops at a residual of rounding size; how far that
+    is from an eigenvalue depends on how far the matrix is from normal.
     """
     if not dynamics.exists:
         return Radii(np.nan, np.nan)
     least_favourable = float(stacked.spectral_radius(dynamics.least_favourable_loop))
-    network = np.max([_network_radius(part) for _, part in dynamics.islands()])
+    network = np.max([_network_radius(part) for *_, part in dynamics.islands()])
     return Radii(float(network), least_favourable)
 
 

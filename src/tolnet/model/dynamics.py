@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,6 +17,9 @@ from tolnet.model.worst_case import LeastFavourableModel
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
+
+_ROUNDING = 1e-12
+"""What couples states less than this part of the largest entry is rounding, if the network itself does not."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,28 +207,45 @@ class ErrorDynamics(_ReadOnly):
         blocks = [[network, sparse.csr_array(coupling)], [None, sparse.csr_array(self.least_favourable_loop)]]
         return sparse.csr_array(sparse.block_array(blocks, format="csr"))
 
-    def islands(self) -> list[tuple[Int[ndarray, " k"], ErrorDynamics]]:
-        """Each group of filters that mix among themselves only, with the dynamics of those filters and e."""
+    def islands(self) -> list[Island]:
+        """The parts that do not influence one another: groups of filters that mix, groups of states that are coupled.
+
+        States are coupled where A, Q or a sensor's information couples them, directly or by way of others; the x, y
+        and z of a tracked target often are not. What rounding put between groups is left out.
+        """
         from scipy.sparse.csgraph import connected_components
 
-        count, label = connected_components(self.mixing, directed=False)
-        if count == 1:
-            return [(np.arange(self.filters), self)]
-        order = np.argsort(label, kind="stable")
-        groups = np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1])
-        return [(group, self._part(group)) for group in groups]
+        mixing, filters = connected_components(self.mixing, directed=False)
+        network = self.model.network
+        information = np.abs(network.own_information).max(axis=0)
+        count, states = connected_components((network.A != 0) | (network.Q != 0) | (information > 0), directed=False)
+        apart = states[:, None] != states
+        matrices = (self.loops, self.coupling, self.least_favourable_loop, self.gains, self.model.tilt)
+        if any(np.abs(X[..., apart]).max(initial=0.0) > _ROUNDING * np.abs(X).max() for X in matrices):
+            count, states = 1, np.zeros_like(states)
+        if mixing * count == 1:
+            return [Island(np.arange(self.filters), np.arange(self.n), self)]
+        return [self._island(k, i) for k in _groups(filters, mixing) for i in _groups(states, count)]
 
-    def _part(self, filters: Int[ndarray, " k"]) -> ErrorDynamics:
+    def _island(self, filters: Int[ndarray, " k"], states: Int[ndarray, " i"]) -> Island:
         with_centre = np.append(filters, self.filters)
-        return replace(
+        channels = self.channels[:, states]
+        heard = channels.any(axis=1)
+        process = self.process[states]
+        part = replace(
             self,
-            loops=self.loops[filters],
-            coupling=self.coupling[filters],
+            loops=self.loops[np.ix_(filters, states, states)],
+            coupling=self.coupling[np.ix_(filters, states, states)],
+            least_favourable_loop=self.least_favourable_loop[np.ix_(states, states)],
             mixing=sparse.csr_array(self.mixing[filters][:, filters]),
-            gains=self.gains[with_centre],
+            gains=self.gains[np.ix_(with_centre, states, states)],
             hearing=sparse.csr_array(self.hearing[with_centre]),
-            tilted=self.tilted[with_centre],
+            channels=channels[heard],
+            owner=self.owner[heard],
+            process=process[:, process.any(axis=0)],
+            tilted=self.tilted[np.ix_(with_centre, states, np.arange(self.tilted.shape[2]))],
         )
+        return Island(filters, states, part)
 
     def rescaled(self, unit: Float[ndarray, " n"]) -> ErrorDynamics:
         """The same dynamics with every state counted in `unit`: x_i / unit_i."""
@@ -243,6 +263,20 @@ class ErrorDynamics(_ReadOnly):
 
     def __repr__(self) -> str:
         return f"<ErrorDynamics {self.status}: {self.filters} filters, dimension {self.dimension}>"
+
+
+class Island(NamedTuple):
+    """Part of the dynamics that nothing else influences: some filters, and some states of theirs and of e."""
+
+    filters: Int[ndarray, " k"]
+    states: Int[ndarray, " i"]
+    dynamics: ErrorDynamics
+
+
+def _groups(label: ndarray, count: int) -> list[ndarray]:
+    """The members of each label, in rising order."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
