@@ -137,21 +137,6 @@ def choose_ambiguity(
         ) from None
 
 
-def choose_filters(text: str | None) -> list[str] | None:
-    """The filters that a comma-separated list names, in any case of letters; None without a list."""
-    from tolnet.model import InputError
-    from tolnet.model.history import FILTERS
-
-    if text is None:
-        return None
-    words = [word.strip().upper() for word in text.split(",")]
-    for word in words:
-        if word not in FILTERS:
-            known = ", ".join(FILTERS)
-            raise InputError(f"--filters names {word!r}; the filters are {known}{nearest(word, FILTERS)}")
-    return words
-
-
 def check_family(ambiguity: Ambiguity, *, uniform: bool) -> None:
     """Refuse local tolerances where they are not defined, with the way out."""
     from tolnet.model import UnsupportedError

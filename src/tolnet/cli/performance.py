@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tolnet.cli.console import Console, complain
-from tolnet.cli.documents import REPORT_SUFFIXES, render, write_report
+from tolnet.cli.console import Console
+from tolnet.cli.filters import Setting, deliver, prepare_filters
 from tolnet.cli.options import (
     AsJson,
     Filters,
@@ -20,17 +20,12 @@ from tolnet.cli.options import (
     Rule,
     Tolerance,
     Unit,
-    check_outputs,
-    choose_filters,
-    open_problem,
-    repeated,
 )
-from tolnet.cli.solving import prepare_filters, save_figure
 
 if TYPE_CHECKING:
-    from tolnet.report.filters import FilterReport
+    from matplotlib.figure import Figure
 
-NO_ANSWER = 4
+    from tolnet.report.filters import FilterReport
 
 
 def performance(
@@ -59,49 +54,52 @@ def performance(
     """
     console = Console(json=json, quiet=quiet)
     outputs = output or []
-    check_outputs(outputs, REPORT_SUFFIXES, inputs=[problem], plot=plot)
-    names = choose_filters(filters)
-    network = open_problem(problem, console)
-    table, W, rule = prepare_filters(network, tolerance, convention, diffusion, console)
+    at = prepare_filters(
+        problem,
+        tolerance=tolerance,
+        convention=convention,
+        filters=filters,
+        diffusion=diffusion,
+        outputs=outputs,
+        plot=plot,
+        console=console,
+    )
 
     from tolnet import analysis
     from tolnet.report.performance import performance_report, performance_view
 
     with console.progress("Lyapunov equations") as progress:
-        steady = analysis.evaluate_filters(table, W, filters=names, method=method, progress=progress)
+        steady = analysis.evaluate_filters(at.table, at.W, filters=at.names, method=method, progress=progress)
     histories = {}
     if horizon is not None:
         with console.progress(f"{horizon:,} steps") as progress:
-            histories = analysis.follow_filters(table, W, horizon, filters=names, progress=progress)
-    report = performance_report(table, rule, steady, histories)
-    for path in outputs:
-        with console.progress(f"writing {path}"):
-            write_report(report, path)
-    if plot is not None:
+            histories = analysis.follow_filters(at.table, at.W, horizon, filters=at.names, progress=progress)
+    report = performance_report(at.table, at.rule, steady, histories)
+
+    def draw() -> Figure:
         from tolnet.report.charts import performance_figure
 
-        with console.progress(f"drawing {plot}"):
-            save_figure(performance_figure(table, steady, histories), plot)
-    if json:
-        console.document([render(report.document())])
-    console.show(*performance_view(report, histories))
-    console.wrote([*outputs, *([plot] if plot else [])])
-    options = repeated(tolerance=tolerance, convention=convention, filters=filters, diffusion=diffusion)
-    console.suggest(*_next_commands(shlex.quote(problem), options, report, horizon, bool(outputs)))
-    if not report.ok:
-        complain(report.complaints(), "no answer")
-        if horizon is None:
-            console.note("over a finite horizon there is one: --horizon T gives the transient")
-        raise typer.Exit(NO_ANSWER)
+        return performance_figure(at.table, steady, histories)
+
+    deliver(
+        report,
+        performance_view(report, histories),
+        console,
+        outputs=outputs,
+        plot=plot,
+        draw=draw,
+        suggestions=_next_commands(shlex.quote(problem), at, report, horizon, bool(outputs)),
+        advice=None if horizon else "--horizon T still gives the transient, which needs no steady state",
+    )
 
 
 def _next_commands(
-    problem: str, options: str, report: FilterReport, horizon: int | None, written: bool
+    problem: str, at: Setting, report: FilterReport, horizon: int | None, written: bool
 ) -> Iterator[str]:
     if horizon is None:
-        yield f"tolnet performance {problem}{options} --horizon 50 --plot performance.png"
+        yield f"tolnet performance {problem}{at.options} --horizon 50 --plot performance.png"
     elif not written:
-        yield f"tolnet performance {problem}{options} --horizon {horizon} -o performance.json"
-    yield f"tolnet simulate {problem}{options} --runs 500 --steps {horizon or 100}"
+        yield f"tolnet performance {problem}{at.options} --horizon {horizon} -o performance.json"
+    yield f"tolnet simulate {problem}{at.options} --runs 500 --steps {horizon or 100}"
     if not report.ok:
-        yield f"tolnet table {problem} --limits"
+        yield f"tolnet table {problem}{at.level} --limits"

@@ -1,4 +1,4 @@
-"""Filters side by side in pictures: by node, and over time."""
+"""Filters side by side in pictures: node by node, over time, and what Monte Carlo makes of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from numpy import ndarray
 
 from tolnet.model import Performance, Status, ToleranceTable, gamma_per
 from tolnet.model.history import FILTERS, FilterHistory
+from tolnet.model.simulation import Simulation
 from tolnet.report.map import INK, LINKS
+from tolnet.report.simulation import standing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,26 +51,59 @@ def performance_figure(
     nodes = {name: found.node_msd for name, found in steady.items()}
     if not histories:
         figure = Figure(figsize=(9.6, 5.6), dpi=150, layout="constrained", facecolor="white")
-        draw_nodes(figure.add_subplot(), table, nodes)
+        node = figure.add_subplot()
     else:
         figure = Figure(figsize=(13.2, 9.2), dpi=150, layout="constrained", facecolor="white")
         msd, node, tolerance, theta = figure.subplots(2, 2).flat
         for name, history in histories.items():
-            draw_line(msd, name, decibels(history.msd))
+            _line(msd, name, _decibels(history.msd))
             _rest_at(msd, name, steady[name].msd, ":")
             if history.kind.ball != "none":
                 _band(tolerance, name, history.tolerance / gamma_per(table.convention))
                 _band(theta, name, history.theta)
-        draw_nodes(node, table, nodes)
-        dress(msd, "mean over the nodes (dotted: steady state)", "step t", "MSD [dB]")
-        dress(tolerance, "tolerances: mean and range over the nodes", "step t", f"$c_{{k,t}}$ ({table.convention})")
-        dress(theta, "risk sensitivities: mean and range over the nodes", "step t", r"$\theta_{k,t}$")
+        _dress(msd, "mean over the nodes (dotted: steady state)", "step t", "MSD [dB]")
+        _dress(tolerance, "tolerances: mean and range over the nodes", "step t", f"$c_{{k,t}}$ ({table.convention})")
+        _dress(theta, "risk sensitivities: mean and range over the nodes", "step t", r"$\theta_{k,t}$")
         _scale(theta)
-    finish(figure, table, "mean square deviation under the least favourable model", statuses(steady))
+    _nodes(node, table, nodes)
+    _dress(node, "node by node, in the steady state (dashed: centralised)", _across(table), "MSD$_k$ [dB]")
+    status = {name: found.status for name, found in steady.items()}
+    _finish(figure, table, "mean square deviation under the least favourable model", status)
     return figure
 
 
-def draw_nodes(axes: Axes, table: ToleranceTable, nodes: Mapping[str, Float[ndarray, " K"]]) -> None:
+def simulation_figure(table: ToleranceTable, found: Mapping[str, Simulation]) -> Figure:
+    """What Monte Carlo measured beside what was predicted, over time and node by node, and how honest each V is.
+
+    Bands are 95 % intervals; dotted is the prediction; the consistency would be 95 % (dashed) if each filter's errors
+    were as large as it thinks.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.2, 9.2), dpi=150, layout="constrained", facecolor="white")
+    mse, ratio, node, consistency = figure.subplots(2, 2).flat
+    for name, each in found.items():
+        _line(mse, name, _decibels(each.mse))
+        mse.plot(_decibels(each.bound), color=COLOURS[name], linewidth=1.2, linestyle=":")
+        predicted = np.where(each.bound > 0, each.bound, np.nan)
+        _line(ratio, name, each.mse / predicted)
+        low, high = (each.interval / predicted[:, None]).T
+        ratio.fill_between(np.arange(len(low)), low, high, color=COLOURS[name], alpha=0.16, linewidth=0)
+        _line(consistency, name, 100 * each.consistency)
+    for axes, level in ((ratio, 1.0), (consistency, 95.0)):
+        axes.axhline(level, color=INK, linewidth=1.0, linestyle="--", zorder=1)
+    _nodes(node, table, {name: each.node_mse[-1] for name, each in found.items()})
+    _dress(mse, "mean over the nodes (dotted: predicted)", "step t", "MSE [dB]")
+    _dress(ratio, "measured over predicted, with 95 % intervals", "step t", "MSE / MSD")
+    _dress(node, "node by node, after the last step (dashed: centralised)", _across(table), "MSE$_k$ [dB]")
+    _dress(consistency, "errors within the 95 % ellipsoid of the filter's own V", "step t", "% of runs and nodes")
+    one = next(iter(found.values()))
+    status = {name: standing(each)[0] for name, each in found.items()}
+    _finish(figure, table, f"{one.runs:,} runs under the least favourable model, seed {one.seed}", status)
+    return figure
+
+
+def _nodes(axes: Axes, table: ToleranceTable, nodes: Mapping[str, Float[ndarray, " K"]]) -> None:
     """What every node has of each filter; a centralised filter is a line, since it has one value for all."""
     network = table.network
     one_by_one = network.N <= ONE_BY_ONE_UP_TO
@@ -76,34 +111,32 @@ def draw_nodes(axes: Axes, table: ToleranceTable, nodes: Mapping[str, Float[ndar
         if FILTERS[name].centralised:
             _rest_at(axes, name, float(values[0]), "--")
         elif one_by_one:
-            axes.plot(decibels(values), "o-", color=COLOURS[name], linewidth=0.8, markersize=3 * WIDTHS[name])
+            axes.plot(_decibels(values), "o-", color=COLOURS[name], linewidth=0.8, markersize=3 * WIDTHS[name])
         else:
-            draw_line(axes, name, np.sort(decibels(values)))
-    across = "node" if one_by_one else "nodes, sorted for each filter"
-    dress(axes, "node by node, in the steady state (dashed: centralised)", across, "MSD$_k$ [dB]")
+            _line(axes, name, np.sort(_decibels(values)))
     if network.N <= NAMED_UP_TO:
         labels = [network.label(k) for k in range(network.N)]
         tilt = 0 if network.names is None else 60
         axes.set_xticks(range(network.N), labels, fontsize=8, parse_math=False, rotation=tilt)
 
 
-def draw_line(axes: Axes, name: str, values: Float[ndarray, " T"], start: int = 0) -> None:
-    """A quantity of one filter over time."""
+def _line(axes: Axes, name: str, values: Float[ndarray, " T"], start: int = 0) -> None:
+    """One filter in its colour."""
     t = np.arange(start, start + len(values))
-    axes.plot(t, values, color=COLOURS[name], linewidth=WIDTHS[name], linestyle=style(name))
+    axes.plot(t, values, color=COLOURS[name], linewidth=WIDTHS[name], linestyle=_style(name))
 
 
-def style(name: str) -> Literal["-", "--"]:
+def _style(name: str) -> Literal["-", "--"]:
     """RKFDNU2 joins RKFDNU: dashed, so that both are seen."""
     return "--" if name == "RKFDNU2" else "-"
 
 
-def decibels(values: ndarray) -> ndarray:
+def _decibels(values: ndarray) -> ndarray:
     """10 log10; nothing is drawn for zero."""
     return 10 * np.log10(np.where(values > 0, values, np.nan))
 
 
-def dress(axes: Axes, title: str, x: str, y: str) -> None:
+def _dress(axes: Axes, title: str, x: str, y: str) -> None:
     """Titles, and lines that stay behind the data."""
     axes.set_title(title, color=INK, fontsize=11, loc="left")
     axes.set_xlabel(x, color=INK)
@@ -115,33 +148,33 @@ def dress(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def statuses(found: Mapping[str, Performance]) -> dict[str, Status]:
-    """The filters of a legend, and how they stand."""
-    return {name: each.status for name, each in found.items()}
-
-
-def finish(figure: Figure, table: ToleranceTable, what: str, status: Mapping[str, Status]) -> None:
+def _finish(figure: Figure, table: ToleranceTable, what: str, status: Mapping[str, Status]) -> None:
     """A title, and one legend for all that the figure holds."""
     from matplotlib.lines import Line2D
 
     problem = (table.network.name or "sensor network").replace("$", r"\$")
     figure.suptitle(f"{problem}: {what}, c = {table.tolerance:g} ({table.convention})", color=INK, fontsize=13)
-    handles = [Line2D([], [], color=COLOURS[name], linewidth=2.6, linestyle=style(name)) for name in status]
+    handles = [Line2D([], [], color=COLOURS[name], linewidth=2.6, linestyle=_style(name)) for name in status]
     labels = [name if how == Status.OK else f"{name} ({how})" for name, how in status.items()]
     figure.legend(
         handles, labels, loc="outside lower center", ncols=min(len(labels), 6), frameon=False, labelcolor=INK
     )
 
 
+def _across(table: ToleranceTable) -> str:
+    """What stands below nodes."""
+    return "node" if table.network.N <= ONE_BY_ONE_UP_TO else "nodes, sorted for each filter"
+
+
 def _rest_at(axes: Axes, name: str, value: float, style: Literal["--", ":"]) -> None:
     if value > 0:
-        level = float(decibels(np.array(value)))
+        level = float(_decibels(np.array(value)))
         axes.axhline(level, color=COLOURS[name], linewidth=WIDTHS[name] / 1.8, linestyle=style, zorder=1)
 
 
 def _band(axes: Axes, name: str, values: Float[ndarray, "T K"]) -> None:
     """The mean over the nodes, and their range around it."""
-    draw_line(axes, name, values.mean(axis=1), start=1)
+    _line(axes, name, values.mean(axis=1), start=1)
     if values.shape[1] > 1:
         t, low, high = np.arange(1, len(values) + 1), values.min(axis=1), values.max(axis=1)
         axes.fill_between(t, low, high, color=COLOURS[name], alpha=0.16, linewidth=0)

@@ -56,11 +56,7 @@ def performance_report(
 def performance_view(report: FilterReport, histories: Mapping[str, FilterHistory]) -> Iterator[RenderableType]:
     """The filters side by side and, where they were followed over time, their MSD at some instants."""
     yield headline(report)
-    loop = {entry["blocks"]["least_favourable"] for entry in report.filters.values()}
-    yield (
-        "mean square deviation in the steady state, under the least favourable model of the centre, whose own error"
-        f" loop has the spectral radius {number(max(loop, default=np.nan), '.6f')}"
-    )
+    yield "mean square deviation in the steady state, under the least favourable model of the centre"
     yield report.view()
     if histories:
         T = _horizon(histories)
