@@ -85,3 +85,31 @@ def blind(tmp_path: Path) -> Path:
     )
     model.save(network, path)
     return path
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """Four nodes in a row track two states."""
+    path = tmp_path / "small.toml"
+    network = model.SensorNetwork(
+        A=[[0.9, 0.2], [0.0, 0.8]],
+        B=[[1.0, 0.0], [0.0, 1.0]],
+        C=[[[1.0, 0.1 * k]] for k in range(4)],
+        R=[[[1.0 + k]] for k in range(4)],
+        edges=[[0, 1], [1, 2], [2, 3]],
+        name="small",
+        ambiguity=model.Ambiguity(0.02),
+    )
+    model.save(network, path)
+    return path
+
+
+@pytest.fixture
+def folded(tmp_path: Path) -> Path:
+    """One badly seen state, at a tolerance beyond the fold of its filter."""
+    path = tmp_path / "folded.toml"
+    network = model.SensorNetwork(
+        A=[[0.9]], B=[[1.0]], C=[[[0.1]]], R=[[[1.0]]], edges=[], name="folded", ambiguity=model.Ambiguity(0.1)
+    )
+    model.save(network, path)
+    return path

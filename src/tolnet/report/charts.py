@@ -133,7 +133,7 @@ def _style(name: str) -> Literal["-", "--"]:
 
 def _decibels(values: ndarray) -> ndarray:
     """10 log10; nothing is drawn for zero."""
-    return 10 * np.log10(np.where(values > 0, values, np.nan))
+    return np.asarray(10 * np.log10(np.where(values > 0, values, np.nan)))
 
 
 def _dress(axes: Axes, title: str, x: str, y: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tolnet.analysis.filters import steady_filter
-from tolnet.model import Performance, ToleranceTable, gamma_per
+from tolnet.model import Performance, Status, ToleranceTable, gamma_per
 from tolnet.model.history import FILTERS, FilterHistory, FilterKind
 from tolnet.report.filters import FilterReport, decibels, headline, number, per_node, words_of
 from tolnet.report.table import empty_table
@@ -58,6 +58,8 @@ def performance_view(report: FilterReport, histories: Mapping[str, FilterHistory
     yield headline(report)
     yield "mean square deviation in the steady state, under the least favourable model of the centre"
     yield report.view()
+    if any(entry["status"] == Status.OSCILLATES for entry in report.filters.values()):
+        yield "what oscillates has the numbers of gains frozen at its steady state, on which it never settles"
     if histories:
         T = _horizon(histories)
         yield f"MSD [dB] over {T:,} steps from the initial covariance, under the model that is worst for these steps"
