@@ -1,4 +1,4 @@
-"""The projectile network from its problem file to its tolerance table and map: `make demo`, or any folder by hand."""
+"""The projectile network from its problem file to its table, map and performance: `make demo`, or any folder."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from tolnet.cli import main
 def demo(folder: Path) -> int:
     """Run the command line as a visitor would, in `folder`, and say what was written and what to try next."""
     folder.mkdir(parents=True, exist_ok=True)
-    problem, table, rows, drawing = (
-        str(folder / name) for name in ("projectile.toml", "table.json", "table.csv", "map.png")
-    )
+    names = ("projectile.toml", "table.json", "table.csv", "map.png", "performance.json", "performance.png")
+    problem, table, rows, drawing, numbers, picture = files = [str(folder / name) for name in names]
     steps = [
         ["example", "projectile", "-o", problem, "--quiet"],
         ["table", problem, "-o", table, "-o", rows, "--plot", drawing],
+        ["performance", problem, "--horizon", "100", "-o", numbers, "--plot", picture],
     ]
     for step in steps:
         print(f"$ tolnet {shlex.join(step)}", flush=True)
         code = main(step)
         if code:
             return code
-    print("\nwritten:", *(f"  {path}" for path in (problem, table, rows, drawing)), sep="\n")
+    print("\nwritten:", *(f"  {path}" for path in files), sep="\n")
     command, here = Path(sys.executable).with_name("tolnet"), Path.cwd()
     tolnet = shlex.quote(str(command.relative_to(here) if command.is_relative_to(here) else command))
     print(
@@ -32,6 +32,7 @@ def demo(folder: Path) -> int:
         f"  {tolnet} table {shlex.quote(problem)} --limits",
         f"  {tolnet} table {shlex.quote(problem)} --tolerance 0.06 -o {shlex.quote(str(folder / 'table.h'))}",
         f"  {tolnet} diff {shlex.quote(table)} {shlex.quote(problem)} --tolerance 0.06",
+        f"  {tolnet} simulate {shlex.quote(problem)} --runs 200 --steps 60",
         f"  {tolnet} example",
         sep="\n",
     )

@@ -20,7 +20,7 @@ def test_the_readme_opens_with_what_to_type():
 
 def test_the_commands_of_the_readme_work_in_their_order(process: Tolnet, tmp_path: Path):
     commands = re.findall(r"^    tolnet (.*)$", README, flags=re.MULTILINE)
-    assert len(commands) >= 6
+    assert len(commands) >= 12
     for command in commands:
         ran = process(*shlex.split(command, comments=True), cwd=tmp_path)
         assert (ran.code, ran.err) == (0, ""), command
@@ -39,10 +39,12 @@ def test_the_demo_writes_what_it_says_and_suggests_what_works(process: Tolnet, t
     told = ran.stdout.split("\nwritten:\n")[1]
     written, suggested = told.split("\ntry next:\n")
     paths = [Path(line.strip()) for line in written.split()]
-    assert [path.name for path in paths] == ["projectile.toml", "table.json", "table.csv", "map.png"]
+    assert [path.name for path in paths] == [
+        "projectile.toml", "table.json", "table.csv", "map.png", "performance.json", "performance.png",
+    ]  # fmt: skip
     assert all((tmp_path / path).stat().st_size > 500 for path in paths)
     lines = [shlex.split(line) for line in suggested.splitlines()]
-    assert len(lines) >= 3
+    assert len(lines) >= 5
     for program, *arguments in lines:
         assert Path(program).name == "tolnet"
         assert process(*arguments, cwd=tmp_path).code == 0
