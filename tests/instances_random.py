@@ -66,3 +66,18 @@ def _noise(rng: np.random.Generator, p: int, decades: float) -> ndarray:
     D = np.eye(p) + 0.3 * rng.normal(size=(p, p))
     R = D @ D.T * 10 ** rng.uniform(-decades, decades)
     return np.asarray((R + R.T) / 2)
+
+
+def poorly_informed(seed: int) -> tuple[ndarray, ndarray, ndarray]:
+    """A, Q and S of a filter with 2 to 4 states, some of them hardly driven or hardly seen.
+
+    Such filters have folds, turning points in c and several steady states at one c.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 5))
+    A = rng.normal(size=(n, n))
+    A = A * (rng.uniform(0.5, 1.2) / np.abs(np.linalg.eigvals(A)).max())
+    B = rng.normal(size=(n, int(rng.integers(1, n + 1)))) * 10 ** rng.uniform(-2, 1)
+    C = rng.normal(size=(p := int(rng.integers(1, n + 1)), n)) * 10 ** rng.uniform(-1.5, 1.5, size=(p, 1))
+    Q, S = B @ B.T, C.T @ C
+    return A, (Q + Q.T) / 2, (S + S.T) / 2

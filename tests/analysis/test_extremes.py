@@ -89,6 +89,15 @@ def test_states_in_bad_units(seed: int, c: float):
     assert_agrees(analysis.solve_steady_state(network, c), exactly)
 
 
+@pytest.mark.parametrize(("seed", "n"), [(3006, 3), (3007, 3), (3015, 3), (3018, 3), (4011, 4), (4014, 4), (4018, 4)])
+@pytest.mark.parametrize("decades", [3.0, 4.0])
+def test_states_in_worse_combinations_of_bad_units(seed: int, n: int, decades: float):
+    rng = np.random.default_rng(seed)
+    network = random_network(rng, n, 4, state_decades=decades)
+    exactly = fifty_digits.steady_state(network.A, network.Q, network.total_information, 0.01)
+    assert_agrees(analysis.solve_steady_state(network, 0.01), exactly)
+
+
 @pytest.mark.parametrize("decade", range(-8, 5, 2))
 def test_noise_of_every_size(decade: int):
     rng = np.random.default_rng(5)
@@ -136,3 +145,16 @@ def test_one_node_with_one_state(c: float):
     state = analysis.solve_steady_state(network, c)
     assert_agrees(state, exactly)
     assert analysis.local_tolerances(network, state)[0] == pytest.approx(c, rel=1e-12)
+
+
+@pytest.mark.parametrize("c", [0.7, 1.0, 10.0, 100.0])
+def test_of_two_steady_states_the_one_that_attracts_is_reported(c: float):
+    """A filter with a repelling and an attracting steady state at the same c: the recursion settles on the latter."""
+    A = np.array([[0.50785767, -0.14882533], [-0.04101217, -0.92718015]])
+    Q = np.array([[0.15015423, -0.00204352], [-0.00204352, 0.00669113]])
+    S = np.array([[0.15140492, -0.30559727], [-0.30559727, 1.08405514]])
+    state = analysis.solve_steady_states(A, Q, S[None], np.array([c]))[0]
+    end = recursion.run(A, Q, S, c, steps=1000)
+    assert end.verdict == "settles"
+    assert str(state.status) == "ok"
+    assert float(state.trace_P) == pytest.approx(np.trace(end.P), rel=1e-8)

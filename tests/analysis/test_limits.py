@@ -7,7 +7,7 @@ from math import inf, log
 import numpy as np
 import pytest
 from numpy import ndarray
-from tests.instances_random import random_network
+from tests.instances_random import poorly_informed, random_network
 from tests.reference import determinants, fifty_digits, maxtol, recursion, steady_state
 
 from tolnet import analysis
@@ -82,6 +82,28 @@ def test_theta_rises_up_to_the_fold_and_falls_after_it(seed: int):
                 network.A, network.Q, np.stack([S[k]] * 3), fold * np.array([0.97, 1.0, 1.03])
             ).theta
             assert before < at > after
+
+
+def test_a_fold_far_beyond_where_the_filter_stops_settling():
+    """theta rises to c = 118.9, although the steady state no longer attracts from c = 6.58 on."""
+    A, Q, S = poorly_informed(55)
+    around = analysis.solve_steady_states(A, Q, np.stack([S] * 4), np.array([10.0, 100.0, 119.0, 140.0])).theta
+    assert around[0] < around[1] < around[2] > around[3]
+    weights, E = np.linalg.eigh(S)
+    C = np.sqrt(np.maximum(weights, 0.0))[:, None] * E.T
+    limits = centre_of(SensorNetwork(A=A, Q=Q, C=[C], R=[np.eye(4)], edges=[]))
+    assert float(limits.attracts) == pytest.approx(6.58, abs=5e-3)
+    assert float(limits.fold) == pytest.approx(118.9, abs=0.2)
+
+
+@pytest.mark.parametrize(("seed", "c"), [(84, 0.8), (165, 0.55)])
+def test_limits_and_statuses_agree(seed: int, c: float):
+    A, Q, S = poorly_informed(seed)
+    weights, E = np.linalg.eigh(S)
+    C = np.sqrt(np.maximum(weights, 0.0))[:, None] * E.T
+    network = SensorNetwork(A=A, Q=Q, C=[C], R=[np.eye(len(A))], edges=[])
+    settles = str(analysis.solve_steady_state(network, c).status) == "ok"
+    assert settles == (c < float(centre_of(network).attracts))
 
 
 @pytest.mark.parametrize("window", [3, 6, 15])

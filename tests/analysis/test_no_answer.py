@@ -132,6 +132,21 @@ def test_detectability_is_not_enough():
     assert states.status[1:].tolist() == ["diverges"] * 3  # the first grows by a millionth a step: no telling
 
 
+def test_without_process_noise_the_ambiguity_drives_the_filter():
+    """A = 0.9, S = 1, Q = 0: V = k P and P = 0.81 k P / (1 + k P), hence P = (0.81 k - 1) / k for 0.81 k > 1."""
+    A, Q, S = np.array([[0.9]]), np.zeros((1, 1)), np.ones((1, 1, 1))
+    state = analysis.solve_steady_states(A, Q, S, np.array([0.1]))[0]
+    assert str(state.status) == "ok"
+    k = float(state.V[0, 0] / state.P[0, 0])
+    assert k - 1 - log(k) == pytest.approx(0.1, rel=1e-12)
+    assert float(state.P[0, 0]) == pytest.approx((0.81 * k - 1) / k, rel=1e-12)
+
+
+def test_a_negative_tolerance_is_misuse():
+    with pytest.raises(ValueError, match="tolerance"):
+        scalar(0.9, 1.0, -1.0)
+
+
 def test_beyond_the_fold():
     """A = 0.9, S = 0.01: theta is largest at c = 0.0269 and falls beyond, where the filter settles all the same."""
     state = scalar(0.9, 0.01, 0.1)
