@@ -2,9 +2,9 @@
 
 Up to the fold, gamma rises with theta along the stabilising branch, and theta is found in a bracket. The search runs
 on phi = s(gamma), where s is the theta lambda of a scalar P with that divergence: for one state and fixed P, phi is
-exactly proportional to theta; in general theta / phi is close to linear in theta, small or large gamma alike, and the
-secant on it needs one to three Riccati solutions. Past the fold theta falls as c rises and the branch of the doubling
-solver is the wrong one: there the path is followed in c, by Newton's method on P = T_c(P)
+exactly proportional to theta; in general theta / phi is close to linear in theta, and the secant on it needs a median
+of one Riccati solution at c = 0.06 and of six at c = 100. Past the fold theta falls as c rises and the branch of the
+doubling solver is the wrong one: there the path is followed in c, by Newton's method on P = T_c(P)
 (docs/mathematics.md, section 4; docs/decisions/0002-steady-state.md).
 """
 
@@ -25,16 +25,20 @@ ACCEPT = 1e-9
 """Largest relative defect |T_c(P) - P| / |P| of a P that is passed on as a steady state."""
 _NEAR = 0.05  # how close, in phi and log gamma, the search must come before Newton's method takes over
 _MOST_SEARCH = 60
+_NEARLY_AT_REST = 1e-4  # the same, for an orbit that is still on its way when it is left
+_AT_REST = 1e-9  # relative change in one step below which an orbit has come to rest
+_GONE = 1e9  # growth of the trace from which on an orbit is taken to diverge
 _FARTHEST = 1.0  # relative change of P in one stride: P doubles on its way to infinity
 _PATH_START = 1e-7  # a tolerance so small that Newton's method gets there from the Kalman filter
 
 
 class FixedPoints(NamedTuple):
-    """P = T_c(P) of a stack, where `found`; the best attempt elsewhere."""
+    """P = T_c(P) of a stack, where `found`; the best attempt elsewhere. `diverges` where the recursion grew away."""
 
     P: Float[ndarray, "K n n"]
     found: Bool[ndarray, " K"]
     iterations: Int[ndarray, " K"]
+    diverges: Bool[ndarray, " K"]
 
 
 def solve_fixed_points(recursion: Recursion) -> FixedPoints:
@@ -47,6 +51,7 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
     iterations = kalman.doublings.copy()
     P, found = kalman.P.copy(), np.zeros(len(iterations), dtype=bool)
     start, reached = kalman.P.copy(), np.zeros(len(iterations))
+    diverges = np.zeros(len(iterations), dtype=bool)
     todo = np.flatnonzero(usable)
     if recursion.tau == 0:
         near = search(recursion.part(todo), kalman.P[todo])
@@ -67,6 +72,7 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
         # the filter itself goes.
         orbit = wander(recursion.part(rest), kalman.P[rest])
         iterations[rest] += orbit.steps
+        diverges[rest] = orbit.diverges
         for guess in (orbit.centre, orbit.calmest):
             left = ~found[rest]
             caught = newton(recursion.part(rest[left]), guess[left])
@@ -74,7 +80,18 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
             at = rest[left][good]
             P[at], found[at] = caught.P[good], True
             iterations[rest[left]] += caught.steps
-    return FixedPoints(P, found, iterations)
+    return FixedPoints(P, found, iterations, diverges)
+
+
+def settle(recursion: Recursion, P: Float[ndarray, "K n n"]) -> FixedPoints:
+    """The steady state on which the recursion comes to rest from P, where it does (`found`).
+
+    For a filter whose steady state on the path does not attract: another, at the same tolerance, may.
+    """
+    orbit = wander(recursion, P)
+    rested = newton(recursion, orbit.calmest)
+    found = (orbit.least < _NEARLY_AT_REST) & (rested.residual <= ACCEPT)
+    return FixedPoints(rested.P, found, rested.steps + orbit.steps, orbit.diverges)
 
 
 class Nearby(NamedTuple):
@@ -178,18 +195,20 @@ class Orbit(NamedTuple):
 
     centre: Float[ndarray, "K n n"]
     calmest: Float[ndarray, "K n n"]
+    least: Float[ndarray, " K"]
+    """|T_c(P) - P| / |P| at the calmest."""
     diverges: Bool[ndarray, " K"]
     steps: int
 
 
 def wander(recursion: Recursion, P: Float[ndarray, "K n n"], *, steps: int = 600) -> Orbit:
-    """Run the recursion from P. An orbit that circles a steady state has its mean near it.
+    """Run the recursion from P, until all have come to rest or gone. An orbit that circles has its mean near a state.
 
     `diverges` says that the trace grew a billionfold, or was growing geometrically to the end.
     """
     first = np.trace(P, axis1=-2, axis2=-1)
     centre, calmest, least = np.zeros_like(P), P.copy(), np.full(len(P), np.inf)
-    middle = first
+    middle, t = first, 0
     with np.errstate(all="ignore"):
         for t in range(steps):
             following = step(recursion, P).following
@@ -201,7 +220,10 @@ def wander(recursion: Recursion, P: Float[ndarray, "K n n"], *, steps: int = 600
                 middle = np.trace(P, axis1=-2, axis2=-1)
             if t >= steps // 2:
                 centre = centre + P
+            if (np.trace(P, axis1=-2, axis2=-1) > _GONE * first).all() or (least < _AT_REST).all():
+                break
         last = np.trace(P, axis1=-2, axis2=-1)
         growing = (last > 2 * middle) & (middle > 2 * first)
-        diverges = ~(last <= 1e9 * first) | growing
-    return Orbit(centre / (steps - steps // 2), calmest, diverges, steps)
+        diverges = ~(last <= _GONE * first) | growing
+    middle_of_it = P if t < steps // 2 else centre / (t + 1 - steps // 2)
+    return Orbit(middle_of_it, calmest, least, diverges, t + 1)

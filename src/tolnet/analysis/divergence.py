@@ -45,9 +45,11 @@ def inflate(eigenvalues: Float[ndarray, "*K n"], tolerance: Float[ndarray, "*K"]
     ratio = np.maximum(ratio, 0.0)  # rounding of a singular P
     gap = 1.0 - ratio
     wanted = np.where(tolerance > 0, tolerance, 1.0)
-    n = eigenvalues.shape[-1]
-    low, high = scalar_excess(wanted / n, tau), scalar_excess(wanted, tau)  # n d(mu_1) >= gamma >= d(mu_1)
-    top = np.sqrt(low * high)
+    # d_tau'' = (1 + mu)^(tau - 2) lies between that of tau = 0 and 1, and n d(mu_1) >= gamma >= d(mu_1):
+    # sqrt(2 c / n) <= mu_1 <= sqrt(2 c) + c.
+    low, high = np.sqrt(2 * wanted / eigenvalues.shape[-1]), np.sqrt(2 * wanted) + wanted
+    low, high = low * (1 - _LAST_STEP), high * (1 + _LAST_STEP)
+    top = np.clip(np.sqrt(2 * wanted / (ratio**2).sum(axis=-1)) + wanted, low, high)
     for _ in range(_NEWTON_STEPS):
         excess, slope = _spread(top, ratio, gap, tau)
         value = divergence(np.log1p(excess), tau).sum(axis=-1)
@@ -55,7 +57,7 @@ def inflate(eigenvalues: Float[ndarray, "*K n"], tolerance: Float[ndarray, "*K"]
         derivative = (_derivative(excess, tau) * slope).sum(axis=-1)
         step = np.log(value / wanted) * value / (derivative * top)
         proposed = top * np.exp(-np.clip(step, -50, 50))
-        inside = (proposed > low) & (proposed < high)
+        inside = (proposed >= low) & (proposed <= high)
         small = np.abs(step) <= _LAST_STEP
         top = np.where(inside | small, proposed, np.sqrt(low * high))
         if small.all():

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Inexact
 from numpy import ndarray
 
+_ALIKE = 1e3  # ratio of variances up to which the order of the states does not matter
+
 
 def solve(a: Inexact[ndarray, "K n n"], b: Inexact[ndarray, "K n m"]) -> Inexact[ndarray, "K n m"]:
     """Solve a x = b for every member of a stack; NaN where a is exactly singular.
@@ -27,9 +29,21 @@ def finite_members(X: Inexact[ndarray, "*K n m"]) -> Bool[ndarray, "*K"]:
 
 
 def symmetric_eigen(P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, "K n"], Float[ndarray, "K n n"]]:
-    """Eigenvalues in rising order and orthonormal eigenvectors; NaN eigenvalues where P is not finite."""
+    """Eigenvalues in rising order and orthonormal eigenvectors; NaN eigenvalues where P is not finite.
+
+    Rows and columns are handed to LAPACK by falling diagonal: a positive definite P whose states are counted in very
+    different units then keeps all digits of its small eigenvalues, instead of losing the ratio of the units.
+    """
     finite = finite_members(P)
-    eigenvalues, U = np.linalg.eigh(np.where(finite[:, None, None], P, np.eye(P.shape[-1])))
+    safe = np.where(finite[:, None, None], P, np.eye(P.shape[-1]))
+    diagonal = np.einsum("kii->ki", safe)
+    if (diagonal.max(axis=-1, initial=0.0) <= _ALIKE * diagonal.min(axis=-1, initial=np.inf)).all():
+        eigenvalues, U = np.linalg.eigh(safe)
+        return np.where(finite[:, None], eigenvalues, np.nan), U
+    order = np.argsort(-diagonal, axis=-1)
+    sorted_rows = np.take_along_axis(safe, order[:, :, None], axis=1)
+    eigenvalues, U = np.linalg.eigh(np.take_along_axis(sorted_rows, order[:, None, :], axis=2))
+    U = np.take_along_axis(U, np.argsort(order, axis=-1)[:, :, None], axis=1)
     return np.where(finite[:, None], eigenvalues, np.nan), U
 
 

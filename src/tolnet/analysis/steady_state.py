@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.continuation import ACCEPT, solve_fixed_points, wander
+from tolnet.analysis.continuation import ACCEPT, settle, solve_fixed_points, wander
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, step
@@ -150,12 +150,19 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
     A, c, tau = recursion.A, recursion.tolerance, recursion.tau
     with np.errstate(all="ignore"):
         points = solve_fixed_points(recursion)
-        found, P = points.found, points.P
+        found, P, iterations = points.found, points.P, points.iterations
+        attracts = _attraction_at(recursion, P, found)
+        restless = np.flatnonzero(found & (attracts >= 1))
+        if restless.size:
+            kalman = solve_riccati(A, recursion.Q, recursion.S[restless])
+            rest = settle(recursion.part(restless), kalman.P)
+            P[restless[rest.found]] = rest.P[rest.found]
+            iterations[restless] += rest.iterations
+            attracts = _attraction_at(recursion, P, found)
         taken = step(recursion, np.where(found[:, None, None], P, np.eye(len(A))))
         at, V = taken.at, taken.at.V
         v = at.eigenvalues * (1 + at.excess)
         M = (taken.AZ / v[:, None, :]) @ at.U.mT
-        attracts = attraction(derivative(recursion, taken))
         defect = stacked.norm(taken.following - P) / stacked.norm(P)
         found = found & (defect <= ACCEPT)  # the solver's word is not taken for it
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
@@ -172,9 +179,17 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
         for value in values.values():
             value[~found] = np.nan
         status = np.where(attracts < 1, Status.OK.value, Status.OSCILLATES.value).astype("U16")
-        if not found.all():
-            status[~found] = _status_without(recursion.part(~found))
-    return values | {"iterations": points.iterations, "status": status}
+        status[~found & points.diverges] = Status.DIVERGES.value
+        unclear = ~found & ~points.diverges
+        if unclear.any():
+            status[unclear] = _status_without(recursion.part(unclear))
+    return values | {"iterations": iterations, "status": status}
+
+
+def _attraction_at(recursion: Recursion, P: Float[ndarray, "K n n"], found: ndarray) -> Float[ndarray, " K"]:
+    """The attraction of each P that was found."""
+    safe = np.where(found[:, None, None], P, np.eye(len(recursion.A)))
+    return attraction(derivative(recursion, step(recursion, safe)))
 
 
 def _status_without(recursion: Recursion) -> ndarray:
