@@ -28,7 +28,7 @@ _MOST_SEARCH = 60
 _NEARLY_AT_REST = 1e-4  # the same, for an orbit that is still on its way when it is left
 _AT_REST = 1e-9  # relative change in one step below which an orbit has come to rest
 _GONE = 1e9  # growth of the trace from which on an orbit is taken to diverge
-_FARTHEST = 1.0  # relative change of P in one stride: P doubles on its way to infinity
+_FARTHEST = 0.15  # relative change of P in one stride; with more, Newton has been seen to land on another branch
 _PATH_START = 1e-7  # a tolerance so small that Newton's method gets there from the Kalman filter
 
 
@@ -69,8 +69,10 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
         rest = rest[~end.found]
     if rest.size:
         # The path turned back in c. A steady state exists all the same where every mode is observable: look where
-        # the filter itself goes.
-        orbit = wander(recursion.part(rest), kalman.P[rest])
+        # the filter itself goes. Without process noise the Kalman filter's P may be zero, but no filter starts there.
+        certain = np.trace(kalman.P[rest], axis1=-2, axis2=-1) == 0
+        begin = np.where(certain[:, None, None], np.eye(len(recursion.A)), kalman.P[rest])
+        orbit = wander(recursion.part(rest), begin)
         iterations[rest] += orbit.steps
         diverges[rest] = orbit.diverges
         for guess in (orbit.centre, orbit.calmest):

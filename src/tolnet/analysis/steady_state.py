@@ -15,7 +15,7 @@ from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, step
 from tolnet.analysis.riccati import solve_riccati
-from tolnet.model import Ambiguity, InputError, SensorNetwork, Status, SteadyState
+from tolnet.model import Ambiguity, Complaint, InputError, SensorNetwork, Status, SteadyState
 
 Progress = Callable[[int, int], None]
 """Called with how many filters are done, and how many there are."""
@@ -100,11 +100,15 @@ def solve_steady_states(
     Structured doubling at fixed theta inside a bracketed search in theta, then Newton's method on P; past the fold
     a path in c. Blocks of filters run on all cores. `refused` (K,) holds statuses known beforehand, such as
     `undetectable`: filters whose entry is not `ok` are not solved. A NaN tolerance gives `no-steady-state`.
+    Raises InputError for a negative tolerance.
     Assumes A, Q, S finite; (A, Q) stabilisable and (A, S_k) detectable where `refused` does not say otherwise.
     Source: eqs. (4), (8); docs/mathematics.md, section 4.
     """
     K, n, _ = S.shape
     tolerance = np.asarray(tolerance, dtype=float)
+    if (tolerance < 0).any():
+        k = int(np.flatnonzero(tolerance < 0)[0])
+        raise InputError([Complaint(f"tolerance[{k}]", f"is {float(tolerance[k])}; a number >= 0 was expected")])
     status = np.full(K, Status.OK.value, dtype="U16") if refused is None else refused.astype("U16")
     status[(status == Status.OK.value) & ~np.isfinite(tolerance)] = Status.NO_STEADY_STATE.value
     todo = np.flatnonzero(status == Status.OK.value)
