@@ -44,7 +44,11 @@ Filters = Annotated[
 ]
 Rule = Annotated[
     str | None,
-    typer.Option("--diffusion", metavar="RULE", help="Weights by this rule, such as uniform, not the problem's."),
+    typer.Option(
+        "--diffusion",
+        metavar="RULE",
+        help="Weights: uniform, relative-degree, metropolis, laplacian or none; the problem's without.",
+    ),
 ]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg, .pdf).")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, and nothing else there.")]

@@ -142,14 +142,15 @@ def opening(
 
     A table's heading has the same keys from its record, which may have been read from a file.
     """
-    set_ = ambiguity or (network.ambiguity if network is not None else None)
+    if ambiguity is None and network is not None:
+        ambiguity = network.ambiguity
     return {
         "schema": schema,
         "tolnet": __version__,
         "problem": None if network is None else {"name": network.name, "sha256": network.digest},
-        "convention": set_ and set_.convention,
-        "tau": set_ and set_.tau,
-        "tolerance": set_ and set_.tolerance,
+        "convention": ambiguity and ambiguity.convention,
+        "tau": ambiguity and ambiguity.tau,
+        "tolerance": ambiguity and ambiguity.tolerance,
         "status": status,
     }
 
