@@ -136,6 +136,25 @@ def test_a_state_known_exactly():
     assert np.abs(found.error_covariance[1:, 1:]).max() < 1e-90
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_state_known_exactly_beside_a_sensor_that_sees_both(turned):
+    basis = np.linalg.qr(np.random.default_rng(1).normal(size=(2, 2)))[0] if turned else np.eye(2)
+    network = SensorNetwork(
+        A=basis @ np.diag([0.5, 0.9]) @ basis.T,
+        B=basis[:, 1:],
+        C=np.ones((3, 1, 2)) @ basis.T,
+        R=np.ones((3, 1, 1)),
+        edges=[[0, 1], [1, 2]],
+    )
+    alone = SensorNetwork(A=[[0.9]], Q=[[1.0]], C=np.ones((3, 1, 1)), R=np.ones((3, 1, 1)), edges=[[0, 1], [1, 2]])
+    for horizon in (None, 5):
+        found = least_favourable_model(network, solve_steady_state(network, 0.01), horizon)
+        wanted = least_favourable_model(alone, solve_steady_state(alone, 0.01), horizon)
+        assert found.status == Status.OK
+        if horizon is None:
+            np.testing.assert_allclose(np.trace(found.error_covariance), wanted.error_covariance[0, 0], rtol=1e-9)
+
+
 @pytest.mark.parametrize("c", [0.02, 3.0])
 def test_finite_horizon_is_the_printed_recursion(c):
     network = random_network(np.random.default_rng(5), 3, 5)
@@ -153,7 +172,7 @@ def test_finite_horizon_is_the_printed_recursion(c):
             network.A - at.G @ stacked.C + (stacked.Gamma_B - at.G @ stacked.Gamma_D) @ at.Gamma_H,
         )
         assert_same(found.error_covariance[t], np.linalg.inv(np.linalg.inv(found.V[t]) - backward))
-    assert found.residual < 1e-13
+    assert found.residual < 1e-12
 
 
 def test_finite_horizon_exists_beyond_the_fold():

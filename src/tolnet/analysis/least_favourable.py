@@ -25,12 +25,10 @@ from tolnet.analysis.lyapunov_dense import data_error, solve_smith
 from tolnet.analysis.stacked import spectral_radius
 from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
-from tolnet.model.worst_case import psd_factor
+from tolnet.model.worst_case import psd_factor, standard_deviations
 
 _ACCEPTED = 1e-6
 """Estimated relative error of R beyond which there is no answer."""
-_KNOWN = 1e-90
-"""Below this part of the largest variance, a state is known exactly: steady states have 1e-100 in the place of 0."""
 _GRID, _ROUNDS = 32, 6
 """The fold is bracketed in c by grids of this many points, that many times over."""
 
@@ -65,7 +63,7 @@ def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableMode
         reason = f"the tolerance {c:g} is not below the centre's fold, {fold_tolerance(network, c):.6g} (gamma scale)"
         return _none(network, central, Status.FOLD, reason)
     inverse = _inverse(P)
-    L = central.filtered @ network.A.T @ inverse
+    L = _smoother_gain(network, central.filtered, P, inverse)
     Delta = solve_smith(L, _growth(central.theta, V, P)).X
     R = P + Delta
     model = LeastFavourableModel(
@@ -79,8 +77,9 @@ def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableMode
         status=Status(str(central.status)),
         reason="" if central.settles else "the centralised filter never settles on its steady state",
     )
-    correction, variance = np.diagonal(solve_smith(model.closed_loop, model.defect).X), np.diagonal(R)
-    error = float(np.max(np.abs(correction) / np.maximum(variance, _KNOWN * variance.max())))
+    deviation, varies = standard_deviations(R)
+    correction = np.diagonal(solve_smith(model.closed_loop, model.defect).X) / deviation**2
+    error = float(np.max(np.abs(correction), where=varies, initial=0.0))
     error = max(error, data_error(float(spectral_radius(model.closed_loop))))
     if not error <= _ACCEPTED:
         reason = f"the covariance of e has an estimated relative error of {error:.2g} at the tolerance {c:g}"
@@ -121,7 +120,7 @@ def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourable
     for t in reversed(range(T)):
         inverse = _inverse(P[t + 1])
         tilt[t] = _tilt(inverse, _loop(network, V[t]), V[t], Delta)
-        L = Z[t] @ A.T @ inverse
+        L = _smoother_gain(network, Z[t], P[t + 1], inverse)
         grown = L @ Delta @ L.T
         R[t] = V[t] + (grown + grown.T) / 2  # rounding only: the exact matrix is symmetric
         steering[t] = inverse @ Delta @ L.T @ _inverse(R[t])
@@ -152,10 +151,17 @@ def _growth(theta: float | ndarray, V: Float[ndarray, "n n"], P: Float[ndarray, 
     return (growth + growth.T) / 2
 
 
+def _smoother_gain(
+    network: SensorNetwork, Z: Float[ndarray, "n n"], P: Float[ndarray, "n n"], inverse: Float[ndarray, "n n"]
+) -> Float[ndarray, "n n"]:
+    """L = Z A' P^-1; states that are known exactly stay so, whatever rounding left in Z."""
+    _, varies = standard_deviations(P)
+    return np.where(varies[:, None], Z @ network.A.T @ inverse, 0.0)
+
+
 def _inverse(P: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
     """P^-1; on the range of P where it is singular, which says that a state is known exactly."""
-    variance = np.diagonal(P)
-    scale = np.sqrt(np.where(variance > _KNOWN * variance.max(), variance, 1.0))
+    scale, _ = standard_deviations(P)
     scaled = P / (scale[:, None] * scale)
     eigenvalues, U = np.linalg.eigh(scaled)
     kept = eigenvalues > len(P) * np.finfo(float).eps * eigenvalues[-1]

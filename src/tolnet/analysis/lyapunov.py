@@ -13,6 +13,7 @@ from tolnet.analysis import lyapunov_dense as dense
 from tolnet.analysis.lyapunov_projected import solve_projected
 from tolnet.analysis.spectrum import Radii, spectral_radii
 from tolnet.model import ErrorDynamics, Performance, Status, UnsupportedError
+from tolnet.model.worst_case import standard_deviations
 
 Method = Literal["auto", "projected", "smith", "scipy", "slycot"]
 
@@ -20,6 +21,8 @@ _SMALL = 150
 """Up to this dimension squared Smith is the fastest."""
 _LARGEST_DENSE = 2000
 """Where projection fails, `auto` goes on with squared Smith up to this dimension: some seconds."""
+_MOST_BYTES = 2**31
+"""Of the columns of the noise; with the subspace and what it is made from, about twice that is used."""
 _WANTED = 1e-8
 """Estimated relative error of the worst MSD_k at which an iteration stops."""
 _ACCEPTED = 1e-6
@@ -40,6 +43,8 @@ class _Answer(NamedTuple):
     iterations: int
     rank: int
     Q: Float[ndarray, "d d"] | None
+    why: str = ""
+    """Why there is no answer, where that is not the error."""
 
 
 def solve_lyapunov(dynamics: ErrorDynamics, method: Method | str = "auto") -> Performance:
@@ -52,7 +57,7 @@ def solve_lyapunov(dynamics: ErrorDynamics, method: Method | str = "auto") -> Pe
     where six digits cannot be vouched for, or that of the dynamics. The residual is recomputed at the end; the
     estimated error multiplies it by how far F amplifies it.
     Raises UnsupportedError for an unknown method, and for `slycot` where it is not installed.
-    Source: eqs. (39)-(41); R. A. Smith, SIAM J. Appl. Math. 16(1), 1968; docs/decisions/0007-lyapunov.md.
+    Source: eqs. (39)-(41); R. A. Smith, SIAM J. Appl. Math. 16(1), 1968; docs/decisions/0003-lyapunov.md.
     """
     if method not in ("auto", "projected", *_DENSE):
         raise UnsupportedError(f"method is {method!r}; expected 'auto', 'projected', {', '.join(map(repr, _DENSE))}")
@@ -67,7 +72,7 @@ def solve_lyapunov(dynamics: ErrorDynamics, method: Method | str = "auto") -> Pe
     chosen, answer = _solve(dynamics.rescaled(unit), method)
     answer = answer._replace(error=max(answer.error, dense.data_error(max(radii))))
     if not answer.error <= _ACCEPTED:
-        reason = (
+        reason = answer.why or (
             f"the error of the worst MSD is estimated at {answer.error:.2g} of it, more than {_ACCEPTED:g}"
             f" (spectral radius {shown(max(radii))}, relative residual {answer.residual:.2g})"
         )
@@ -123,9 +128,8 @@ def shown(radius: float) -> str:
 
 def _units(dynamics: ErrorDynamics) -> Float[ndarray, " n"]:
     """Powers of two near the standard deviations of the centre's errors: no state drowns in another's unit."""
-    deviation = np.sqrt(np.diagonal(dynamics.model.V))
-    positive = np.where(deviation > 0, deviation, 1.0)
-    return 2.0 ** np.round(np.log2(positive))
+    deviation, _ = standard_deviations(dynamics.model.V)
+    return 2.0 ** np.round(np.log2(deviation))
 
 
 def _solve(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer]:
@@ -146,6 +150,7 @@ def _solve(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer]:
         iterations=max(answer.iterations for answer in answers),
         rank=max(answer.rank for answer in answers),
         Q=None,
+        why=next((answer.why for answer in answers if answer.why), ""),
     )
 
 
@@ -159,6 +164,11 @@ def _solve_connected(dynamics: ErrorDynamics, method: str) -> tuple[str, _Answer
 
 
 def _projected(dynamics: ErrorDynamics) -> _Answer:
+    needed = 8 * dynamics.dimension * dynamics.columns
+    if needed > _MOST_BYTES:
+        nan = np.full((dynamics.filters + 1, dynamics.n, dynamics.n), np.nan)
+        why = f"the noise of {dynamics.filters:,} filters takes {needed / 2**30:.1f} GiB; at most 2 are used"
+        return _Answer(nan, np.nan, np.inf, 0, 0, None, why)
     found = solve_projected(dynamics, _WANTED)
     return _Answer(found.blocks, found.residual, found.error, found.steps, found.rank, None)
 

@@ -108,12 +108,11 @@ class _Probe:
         self.dynamics = dynamics
         self.v = np.random.default_rng(1).normal(size=shape)
         self.back = dynamics.step_back(self.v)
-        self.both = np.concatenate([self.v, self.back], axis=2).reshape(dynamics.dimension, -1)
+        self.both = np.concatenate([self.v, self.back], axis=2)
 
-    def residual(self, image: Float[ndarray, "d p"]) -> float:
+    def residual(self, image: Float[ndarray, "K1 n p"]) -> float:
         """|residual| / |Q| from Q [v, F' v]: E |Z v|^2 = |Z|^2 for a standard normal v."""
-        shape = self.v.shape
-        Qv, Qback = image[:, :_PROBES].reshape(shape), image[:, _PROBES:].reshape(shape)
+        Qv, Qback = image[:, :, :_PROBES], image[:, :, _PROBES:]
         defect = self.dynamics.step(Qback) + self.dynamics.noise_product(self.v) - Qv
         return float(np.linalg.norm(defect) / np.linalg.norm(Qv))
 
@@ -142,8 +141,8 @@ class _Columns:
                     Y = self.dynamics.step(Y)
                 together = trail.reshape(K1, n, count * b)
                 self.blocks += together @ together.mT
-                y = trail.reshape(K1 * n, count * b)
-                self.image += y @ (y.T @ self.probe.both)
+                # stacked on purpose: one large product of these shapes sets threads to work that costs less alone
+                self.image += together @ (together.mT @ self.probe.both).sum(axis=0)
             self.batches[i] = Y
         self.steps = steps
 
@@ -243,10 +242,10 @@ def _assemble(columns: _Columns, tail: _Tail) -> ProjectedSolution:
     The error of a trace is estimated as if it were spread over the nodes as Q is: amplified residual, over the
     smallest trace instead of the mean.
     """
-    VX = tail.V @ tail.X
-    split = (len(columns.blocks), columns.blocks.shape[1], VX.shape[1])
-    blocks = columns.blocks + VX.reshape(split) @ tail.V.reshape(split).mT
-    residual = columns.probe.residual(columns.image + VX @ (tail.V.T @ columns.probe.both))
+    split = (len(columns.blocks), columns.blocks.shape[1], tail.V.shape[1])
+    V, VX = tail.V.reshape(split), (tail.V @ tail.X).reshape(split)
+    blocks = columns.blocks + VX @ V.mT
+    residual = columns.probe.residual(columns.image + VX @ (V.mT @ columns.probe.both).sum(axis=0))
     traces = np.trace(blocks, axis1=1, axis2=2)
     error = tail.amplification * residual * traces.mean() / traces.min() if traces.min() > 0 else np.inf
     error *= 1 if residual <= _FLOOR else _SAFETY  # a truncation may favour single nodes, rounding does not

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from tolnet.model.network import SensorNetwork
@@ -133,7 +133,16 @@ def psd_factor(P: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K n n"]:
 
     From the eigenvectors of P with its diagonal scaled to one, so that small states keep their digits.
     """
-    scale = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale, varies = standard_deviations(P)
     eigenvalues, U = np.linalg.eigh(P / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * U * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :]
+    return np.where(varies, scale, 0.0)[..., :, None] * U * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :]
+
+
+def standard_deviations(P: Float[ndarray, "*K n n"]) -> tuple[Float[ndarray, "*K n"], Bool[ndarray, "*K n"]]:
+    """Roots of the diagonal, 1 in the place of zero, and where they are not zero.
+
+    Zero is what is below 1e-90 of the largest: steady states have 1e-100 for the variance of a state known exactly.
+    """
+    variance = np.diagonal(P, axis1=-2, axis2=-1)
+    varies = variance > 1e-90 * variance.max(axis=-1, keepdims=True, initial=0.0)
+    return np.sqrt(np.where(varies, variance, 1.0)), varies
