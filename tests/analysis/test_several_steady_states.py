@@ -51,7 +51,7 @@ def test_the_branch_past_the_fold_is_that_of_the_path(seed: int, c: float):
 
 
 @pytest.mark.parametrize(
-    ("seed", "c"), [(9, 3.0), (57, 3.0), (79, 3.0), (132, 3.0), (231, 0.3), (386, 0.03), (24, 0.8857), (24, 1.1)]
+    ("seed", "c"), [(9, 3.0), (57, 3.0), (79, 3.0), (132, 3.0), (231, 0.3), (386, 0.03), (24, 1.1)]
 )
 def test_of_several_steady_states_one_that_attracts_is_reported(seed: int, c: float):
     """A filter that starts near it settles on it; one that starts elsewhere may settle on another."""

@@ -72,7 +72,7 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
         # the filter itself goes. Without process noise the Kalman filter's P may be zero, but no filter starts there.
         certain = np.trace(kalman.P[rest], axis1=-2, axis2=-1) == 0
         begin = np.where(certain[:, None, None], np.eye(len(recursion.A)), kalman.P[rest])
-        orbit = wander(recursion.part(rest), begin)
+        orbit = wander(recursion.part(rest), begin, steps=3000)
         iterations[rest] += orbit.steps
         diverges[rest] = orbit.diverges
         for guess in (orbit.centre, orbit.calmest):

@@ -238,7 +238,7 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
             part = recursion.part(todo)
             taken = step(part, P)
             defect = taken.following - P
-            relative = stacked.norm(defect) / stacked.norm(P)
+            relative = relative_defect(part, defect, P)
             better = relative < residual[todo]
             stalls = np.where(relative < 0.5 * residual[todo], 0, stalls + 1)
             best[todo[better]], residual[todo[better]] = P[better], relative[better]
@@ -255,6 +255,15 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
             inside = eigenvalues[:, 0] >= -1e-12 * eigenvalues[:, -1]
             P = np.where(inside[:, None, None], proposed, taken.following)
     return Converged(best, residual, steps)
+
+
+def relative_defect(
+    recursion: Recursion, defect: Float[ndarray, "K n n"], P: Float[ndarray, "K n n"]
+) -> Float[ndarray, " K"]:
+    """|T_c(P) - P| / |P|; 0 for the Kalman filter of a plant without noise, whose P = 0 is exact."""
+    size = stacked.norm(P)
+    nothing = (size == 0) & (recursion.tolerance == 0) & (stacked.norm(defect) == 0)
+    return np.where(nothing, 0.0, stacked.norm(defect) / np.where(nothing, 1.0, size))
 
 
 def attraction(slope: Derivative) -> Float[ndarray, " K"]:

@@ -10,10 +10,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.continuation import ACCEPT, settle, solve_fixed_points, wander
+from tolnet.analysis.continuation import ACCEPT, settle, solve_fixed_points
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
-from tolnet.analysis.fixed_point import Recursion, attraction, derivative, step
+from tolnet.analysis.fixed_point import Recursion, attraction, derivative, relative_defect, step
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.model import Ambiguity, Complaint, InputError, SensorNetwork, Status, SteadyState
 
@@ -167,7 +167,7 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
         at, V = taken.at, taken.at.V
         v = at.eigenvalues * (1 + at.excess)
         M = (taken.AZ / v[:, None, :]) @ at.U.mT
-        defect = stacked.norm(taken.following - P) / stacked.norm(P)
+        defect = relative_defect(recursion, taken.following - P, P)
         found = found & (defect <= ACCEPT)  # the solver's word is not taken for it
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
         mismatch = np.where(c > 0, np.abs(divergence_now - c) / np.where(c > 0, c, 1.0), 0.0)
@@ -183,10 +183,7 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
         for value in values.values():
             value[~found] = np.nan
         status = np.where(attracts < 1, Status.OK.value, Status.OSCILLATES.value).astype("U16")
-        status[~found & points.diverges] = Status.DIVERGES.value
-        unclear = ~found & ~points.diverges
-        if unclear.any():
-            status[unclear] = _status_without(recursion.part(unclear))
+        status[~found] = np.where(points.diverges[~found], Status.DIVERGES.value, Status.NO_STEADY_STATE.value)
     return values | {"iterations": iterations, "status": status}
 
 
@@ -194,13 +191,6 @@ def _attraction_at(recursion: Recursion, P: Float[ndarray, "K n n"], found: ndar
     """The attraction of each P that was found."""
     safe = np.where(found[:, None, None], P, np.eye(len(recursion.A)))
     return attraction(derivative(recursion, step(recursion, safe)))
-
-
-def _status_without(recursion: Recursion) -> ndarray:
-    """Why a filter has no steady state: its covariance grows without bound, or none was found."""
-    kalman = solve_riccati(recursion.A, recursion.Q, recursion.S)
-    diverges = wander(recursion, kalman.P, steps=2000).diverges
-    return np.where(diverges, Status.DIVERGES.value, Status.NO_STEADY_STATE.value)
 
 
 def _divergence_of(P: ndarray, V: ndarray, tau: float) -> ndarray:
