@@ -65,7 +65,7 @@ def inflate_covariance(P: Float[ndarray, "K n n"], tolerance: Float[ndarray, " K
     """V from gamma(P, theta) = c (line 1); c = 0 leaves V = P."""
     eigenvalues, U = stacked.symmetric_eigen(P)
     # A singular P is carried as one whose null eigenvalues are a hair above zero: too little to change any sum.
-    eigenvalues = np.maximum(eigenvalues, 1e-100 * np.abs(eigenvalues[:, -1:]) + 1e-250)
+    eigenvalues = np.maximum(eigenvalues, 1e-100 * np.abs(eigenvalues[:, -1:]) + 1e-150)
     theta, excess = inflate(eigenvalues, tolerance, tau)
     return Inflated(eigenvalues, U, theta, excess)
 

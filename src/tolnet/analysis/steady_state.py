@@ -196,6 +196,6 @@ def _attraction_at(recursion: Recursion, P: Float[ndarray, "K n n"], found: ndar
 def _divergence_of(P: ndarray, V: ndarray, tau: float) -> ndarray:
     """gamma as a divergence of V from P, from the eigenvalues of P^-1 V: well conditioned where theta is not."""
     eigenvalues, U = stacked.symmetric_eigen(P)
-    half = U / np.sqrt(np.maximum(eigenvalues, 1e-100 * eigenvalues[:, -1:] + 1e-250))[:, None, :]
+    half = U / np.sqrt(np.maximum(eigenvalues, 1e-100 * eigenvalues[:, -1:] + 1e-150))[:, None, :]
     inflation = np.linalg.eigvalsh(np.nan_to_num(half.mT @ V @ half))
     return divergence(np.log(np.maximum(inflation, 1.0)), tau).sum(axis=-1)
