@@ -18,7 +18,7 @@ $(STAMP): requirements/lock.txt pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP) ## the projectile network: problem, tolerance table and map, in ./demo
+demo: $(STAMP) ## the projectile network: problem, tolerance table, map and performance, in ./demo
 	@$(BIN)/python scripts/demo.py demo
 
 test: $(STAMP) ## every test, notebooks included
@@ -34,8 +34,8 @@ check: $(STAMP) ## style, types, import directions
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
 
-study: $(STAMP) ## the notebooks at full size
-	@TOLNET_STUDY=full $(BIN)/python -m pytest --nbmake --nbmake-timeout=7200 --overwrite notebooks
+study: $(STAMP) ## the notebooks at full size, written back
+	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
 
 format: $(STAMP) ## put the code into the house style
 	@$(BIN)/ruff check --fix .
