@@ -280,6 +280,15 @@ def test_filters_that_do_not_mix_are_solved_apart():
         np.testing.assert_allclose(alone.blocks[0], found.blocks[k], rtol=1e-10, atol=1e-15)
 
 
+def test_noise_that_does_not_fit_is_refused_by_its_size(monkeypatch):
+    monkeypatch.setattr("tolnet.analysis.lyapunov._MOST_BYTES", 10_000)
+    monkeypatch.setattr("tolnet.analysis.lyapunov._LARGEST_DENSE", 0)
+    found = solve_lyapunov(dynamics_of(random_network(np.random.default_rng(2), 4, 70), 0.02))
+    assert found.status == Status.NOT_CONVERGED
+    assert "the noise of 70 filters takes" in found.reason
+    assert np.isnan(found.msd)
+
+
 def test_axes_are_solved_apart():
     """Sixty nodes on a ring: three problems of dimension 122 instead of one of 366."""
     network = projectile_ring(60)
