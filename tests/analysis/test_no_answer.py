@@ -142,6 +142,17 @@ def test_without_process_noise_the_ambiguity_drives_the_filter():
     assert float(state.P[0, 0]) == pytest.approx((0.81 * k - 1) / k, rel=1e-12)
 
 
+@pytest.mark.parametrize("seed", [5, 38, 45])
+def test_a_hopeless_filter_is_a_status_and_no_exception(seed: int):
+    """Eight states that grow fivefold a step, one noise, hardly an output, and c = 20,000; beside it a harmless one."""
+    network = random_network(np.random.default_rng(seed), 8, 1, radius=5.0, drives=1, noise_decades=2.0)
+    S = np.concatenate([network.information, 100 * np.eye(8)[None]])
+    states = analysis.solve_steady_states(network.A, network.Q, S, np.array([2e4, 0.01]))
+    assert str(states[1].status) == "ok"
+    if not states[0].exists:
+        assert_nothing(states[0])
+
+
 def test_a_negative_tolerance_is_misuse():
     with pytest.raises(ValueError, match="tolerance"):
         scalar(0.9, 1.0, -1.0)
