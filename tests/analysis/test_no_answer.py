@@ -144,7 +144,7 @@ def test_without_process_noise_the_ambiguity_drives_the_filter():
 
 @pytest.mark.parametrize("seed", [5, 38, 45])
 def test_a_hopeless_filter_is_a_status_and_no_exception(seed: int):
-    """Eight states that grow fivefold a step, one noise, hardly an output, and c = 20,000; beside it a harmless one."""
+    """Eight states that grow fivefold a step, one noise, hardly an output, c = 20,000; and a harmless filter."""
     network = random_network(np.random.default_rng(seed), 8, 1, radius=5.0, drives=1, noise_decades=2.0)
     S = np.concatenate([network.information, 100 * np.eye(8)[None]])
     states = analysis.solve_steady_states(network.A, network.Q, S, np.array([2e4, 0.01]))
