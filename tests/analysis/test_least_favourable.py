@@ -205,6 +205,15 @@ def test_refusals():
         )
 
 
+@pytest.mark.parametrize("steps", [0, -1, 8])
+def test_steps_that_the_model_does_not_have(steps):
+    network = ring_projectile()
+    model = least_favourable_model(network, solve_steady_state(network), horizon=7)
+    with pytest.raises(ValueError, match=f"steps is {steps}; expected at least 1 and at most 7"):
+        simulate_least_favourable(model, np.random.default_rng(0), runs=1, steps=steps)
+    assert len(simulate_least_favourable(model, np.random.default_rng(0), runs=1).y) == 7
+
+
 def test_a_centre_without_steady_state_gives_its_status_on():
     blind = SensorNetwork(A=[[1.1]], Q=[[1.0]], C=[[[0.0]]], R=[[[1.0]]])
     found = least_favourable_model(blind, solve_steady_state(blind, 0.01))

@@ -11,6 +11,7 @@ so a step costs one product with the stacked C and nothing of the size of K.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -53,10 +54,9 @@ def simulate_least_favourable(
     longest = model.horizon
     if steps is None and longest is None:
         raise ValueError("a steady model has no horizon: give the number of steps")
-    wanted = longest if steps is None else steps
-    if longest is not None and wanted is not None and wanted > longest:
-        raise ValueError(f"steps is {wanted}; the horizon of the model is {longest}")
-    instants = [instant for _, instant in zip(range(wanted or 0), walk(model, rng, runs=runs), strict=False)]
+    if steps is not None and not 1 <= steps <= (longest or steps):
+        raise ValueError(f"steps is {steps}; expected at least 1" + (f" and at most {longest}" if longest else ""))
+    instants = list(islice(walk(model, rng, runs=runs), steps))
     return Trajectories(*(np.stack(series) for series in zip(*instants, strict=True)))
 
 
