@@ -163,7 +163,9 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
             P[restless[rest.found]] = rest.P[rest.found]
             iterations[restless] += rest.iterations
             attracts = _attraction_at(recursion, P, found)
-        taken = step(recursion, np.where(found[:, None, None], P, np.eye(len(A))))
+        # What was not found may be no matrix of numbers at all, and LAPACK would give up on the whole stack for it.
+        P = np.where(found[:, None, None], P, np.eye(len(A)))
+        taken = step(recursion, P)
         at, V = taken.at, taken.at.V
         v = at.eigenvalues * (1 + at.excess)
         M = (taken.AZ / v[:, None, :]) @ at.U.mT
