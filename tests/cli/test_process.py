@@ -113,6 +113,19 @@ def test_an_interrupt_ends_with_130_and_leaves_no_file(tmp_path: Path):
     assert set(tmp_path.iterdir()) == before
 
 
+def test_an_interrupt_within_executed_source_ends_with_130(tmp_path: Path):
+    (tmp_path / "stopped.py").write_text(
+        "import sys\nimport tolnet.cli.app\nfrom tolnet.cli import main\n"
+        "def run(arguments):\n"
+        "    exec('import os, signal; os.kill(os.getpid(), signal.SIGINT); [None for _ in range(1000)]')\n"
+        "tolnet.cli.app.run = run\nsys.exit(main())\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
+
+
 def test_a_full_disk_is_said(process: Tolnet, ring: Path):
     with Path("/dev/full").open("w") as full:
         ran = subprocess.run(

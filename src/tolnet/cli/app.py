@@ -9,13 +9,13 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import diff, example, performance, simulate, table, validate
+from tolnet.cli import INTERRUPTED, diff, example, performance, simulate, table, validate
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
     from tolnet.model import TolnetError
 
-BAD_INPUT, NO_ANSWER, INTERRUPTED = 2, 4, 130
+BAD_INPUT, NO_ANSWER = 2, 4
 
 app = typer.Typer(
     name="tolnet",
