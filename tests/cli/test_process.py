@@ -120,9 +120,7 @@ def test_an_interrupt_within_executed_source_ends_with_130(tmp_path: Path):
         "    exec('import os, signal; os.kill(os.getpid(), signal.SIGINT); [None for _ in range(1000)]')\n"
         "tolnet.cli.app.run = run\nsys.exit(main())\n"
     )
-    ran = subprocess.run(
-        [sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    ran = subprocess.run([sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
 
 
