@@ -30,7 +30,7 @@ class _Interrupt(KeyboardInterrupt):
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """Raise `_Interrupt` where Python would raise KeyboardInterrupt; a handler that somebody else set is left alone."""
+    """Raise `_Interrupt` where Python raises KeyboardInterrupt; a handler that somebody else set is left alone."""
     ours = (
         threading.current_thread() is threading.main_thread()
         and signal.getsignal(signal.SIGINT) is signal.default_int_handler
