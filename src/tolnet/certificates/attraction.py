@@ -1,7 +1,7 @@
 """Whether a steady state attracts: Lyapunov matrices of the derivative J of P_t -> P_{t+1}, in balls.
 
-r^2 Y - J' Y J > 0 with Y > 0 proves rho(J) < r. J' X J - X > 0 with v' X v > 0 proves rho(J) > 1: along x+ = J x from v,
-x' X x > 0 rises, and an eigenvector of modulus 1 would give 0 > 0. docs/mathematics.md, section 11.6.
+r^2 Y - J' Y J > 0 with Y > 0 proves rho(J) < r. J' X J - X > 0 with v' X v > 0 proves rho(J) > 1: along x+ = J x
+from v, x' X x > 0 rises, and an eigenvector of modulus 1 would give 0 > 0. docs/mathematics.md, section 11.6.
 """
 
 from __future__ import annotations
@@ -30,10 +30,7 @@ def derivative_at(found: Enclosure) -> BallMatrix:
 
 
 def lyapunov(J: Float[ndarray, "d d"], rate: float) -> Float[ndarray, "d d"] | None:
-    """Y = I + J'J / r^2 + J'^2 J^2 / r^4 + ..., by doubling and in units in which J is near balanced; None if infinite.
-
-    Then r^2 Y - J' Y J = r^2 I > 0.
-    """
+    """Y = I + J'J / r^2 + J'^2 J^2 / r^4 + ..., so that r^2 Y - J' Y J = r^2 I > 0, by doubling; None if infinite."""
     X, power = np.eye(len(J)), J / rate
     with np.errstate(all="ignore"):
         for _ in range(_MOST_DOUBLINGS):
@@ -132,7 +129,7 @@ def refute_attraction(exact: ExactFilter, box: Box) -> dict[str, Any] | NotProve
     X = (inverse.conj().T @ (1 / np.where(pairs == 0, 1.0, pairs) * (T.conj().T @ T)) @ inverse).real
     X = (X + X.T) / 2
     z = T[:, np.argmax(np.abs(values))]
-    v = max((z.real, z.imag), key=lambda v: float(v @ X @ v))
+    v = max((np.real(z), np.imag(z)), key=lambda v: float(v @ X @ v))
     keys = {
         "c": number_text(exact.c),
         "witness": {"box": box.text(), "X": symmetric_text(X / s / s[:, None]), "v": matrix_text(v * s)},

@@ -51,7 +51,8 @@ def matrix(X: Float[ndarray, "m n"]) -> BallMatrix:
     """The exact matrix of these doubles."""
     from flint import arb_mat
 
-    return arb_mat(*X.shape, X.ravel().tolist())
+    rows, columns = X.shape
+    return arb_mat(rows, columns, X.ravel().tolist())
 
 
 def matrix_of(rows: int, columns: int, entries: Iterable[Ball]) -> BallMatrix:
@@ -110,8 +111,8 @@ def row_sum_norm(M: BallMatrix) -> Ball:
 def inverse_of_wide(M: BallMatrix) -> BallMatrix:
     """M^-1 for radii that are no longer small, by one approximate inverse B of the middle.
 
-    With E = I - B M and |E| = e < 1 (largest row sum): M^-1 = B + E B + E^2 M^-1, where every column of M^-1 is at most
-    1 / (1 - e) times as large as that of B. ZeroDivisionError where e is not below 1.
+    With E = I - B M and |E| = e < 1 (largest row sum): M^-1 = B + E B + E^2 M^-1, where every column of M^-1 is at
+    most 1 / (1 - e) times as large as that of B. ZeroDivisionError where e is not below 1.
     """
     n = M.nrows()
     B = M.mid().inv().mid()
@@ -127,8 +128,8 @@ def inverse_of_wide(M: BallMatrix) -> BallMatrix:
 def is_positive(M: BallMatrix) -> bool:
     """Whether every symmetric matrix in M was shown to be positive definite.
 
-    With X near the inverse of a Cholesky factor of the middle, X M X' is near the identity: where its off-diagonal row
-    sums stay below its diagonal (Gershgorin) it is positive definite, hence X non-singular and M positive definite.
+    With X near the inverse of a Cholesky factor of the middle, X M X' is near the identity: where its off-diagonal
+    row sums stay below its diagonal (Gershgorin) it is positive definite, hence X non-singular and M positive definite.
     Where doubles do not reach that far, by a Cholesky decomposition in balls.
     """
     n = M.nrows()

@@ -1,7 +1,7 @@
 """One filter as an exact problem, and its equations in ball arithmetic.
 
-A filter is A, Q, the sensors that it hears, S = sum C_l' R_l^-1 C_l, and a tolerance c; every double is the number that
-it is. In balls, and in any coordinates of the state (Pi = I in the problem's own; docs/mathematics.md, section 11.4):
+A filter is A, Q, the sensors that it hears, S = sum C_l' R_l^-1 C_l, and a tolerance c; every double is the number
+that it is. In balls, and in any coordinates of the state (Pi = I in the problem's own; docs/mathematics.md, section 11.4):
 
     W = (I + P (S - theta Pi))^-1,  Z = W P,  K = A W,     T(P, theta) = A Z A' + Q
     H = (I - theta P Pi)^-1,                               gamma = log det(I - theta P Pi) + tr(H - I)
@@ -76,7 +76,7 @@ class ExactFilter:
     """The tolerance, on the gamma scale."""
 
     def equations(self) -> Equations:
-        """The same in balls of the working precision. Raises ZeroDivisionError where some R is not positive definite."""
+        """The same in balls of the working precision. Raises ZeroDivisionError where some R may be singular."""
         n = len(self.A)
         Q = self.process.balls()
         return Equations(balls.matrix(self.A), Q, information(self.sensors, n), balls.identity(n), balls.ball(self.c))

@@ -1,12 +1,13 @@
 """Exact steady states: that one exists in a box, where exactly it lies, and how far a stated gain is from its gain.
 
-Krawczyk's test on x = (P, theta): with m the middle of the box X, g(x) = [P - T(P, theta); gamma(P, theta) - c] and any
-matrix B,
+Krawczyk's test on x = (P, theta): with m the middle of the box X, g(x) = [P - T(P, theta); gamma(P, theta) - c] and
+any matrix B,
 
-    m - B g(m) + (I - B g'(X)) (X - m)  inside X     proves exactly one zero of g in X, and it lies in the left-hand side
+    m - B g(m) + (I - B g'(X)) (X - m)  inside X     proves exactly one zero of g in X, and it lies in the left-hand
+                                                     side (R. Krawczyk, Computing 4, 1969)
 
-(R. Krawczyk, Computing 4, 1969). Repeated from its own result, it encloses that zero as tightly as the working precision
-allows. docs/mathematics.md, section 11.5.
+Repeated from its own result, it encloses that zero as tightly as the working precision allows. docs/mathematics.md,
+section 11.5.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class _Krawczyk:
         if change.pull is None:
             return loop
         push = (change.thrust * (-self.unit)).entries()
-        rows = [row + [last] for row, last in zip(loop.tolist(), push, strict=True)]
+        rows = [[*row, last] for row, last in zip(loop.tolist(), push, strict=True)]
         scale = theta / self.equations.c
         rows.append([x * (theta * scale) for x in change.pull.entries()] + [change.swing * (scale * self.unit)])
         return balls.matrix_of(d + 1, d + 1, [x for row in rows for x in row])
