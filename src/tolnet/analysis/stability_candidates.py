@@ -161,9 +161,12 @@ def full_candidate(F: Float[ndarray, "d d"], rate: float = 1.0) -> Float[ndarray
 
 
 class Growth(NamedTuple):
-    """X symmetric with f' X f - X > 0, v with v' X v > 0, and the eigenvalue that grows, with its vector."""
+    """X symmetric with f' X f - X > 0, v with v' X v > 0, and the eigenvalue that grows, with its vector.
 
-    X: Float[ndarray, "d d"]
+    X is None where the matrix is too large for one.
+    """
+
+    X: Float[ndarray, "d d"] | None
     v: Float[ndarray, " d"]
     eigenvalue: complex
     mode: ndarray
@@ -202,11 +205,34 @@ def network_matrix(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Floa
 
 def network_radius(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> float:
     """Spectral radius of the network block: dense eigenvalues when small, else Arnoldi's method; NaN where it fails."""
-    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
-
     N, n, _ = M.shape
     if N * n <= _DENSE_RADIUS_UP_TO:
         return float(np.abs(np.linalg.eigvals(network_matrix(M, mixing))).max(initial=0.0))
+    found = _arnoldi(M, mixing)
+    return np.nan if found is None or not found.converged else abs(found.eigenvalue)
+
+
+def leading_mode(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Growth | None:
+    """The eigenvalue of the network block that grows fastest, with its vector; None where none was found to grow."""
+    found = _arnoldi(M, mixing)
+    if found is None or not abs(found.eigenvalue) > 1:
+        return None
+    return Growth(None, found.mode.real, found.eigenvalue, found.mode)
+
+
+class _Leading(NamedTuple):
+    """An eigenvalue of large modulus; the largest where all that were asked for converged."""
+
+    eigenvalue: complex
+    mode: ndarray
+    converged: bool
+
+
+def _arnoldi(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> _Leading | None:
+    """The eigenvalue of largest modulus that Arnoldi's method (ARPACK) finds, and its vector."""
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+    N, n, _ = M.shape
 
     def step(v: ndarray) -> ndarray:
         return np.asarray(mixing @ (M @ v.reshape(N, n, 1)).reshape(N, n)).ravel()
@@ -215,10 +241,14 @@ def network_radius(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> floa
     operator = kind(shape=(N * n, N * n), matvec=step, dtype=np.float64)
     start = np.random.default_rng(3).normal(size=N * n)
     try:
-        values = eigs(operator, k=4, v0=start, ncv=40, maxiter=500, return_eigenvectors=False)
-    except ArpackNoConvergence:
-        return np.nan
-    return float(np.abs(values).max())
+        values, vectors = eigs(operator, k=4, v0=start, ncv=40, maxiter=500)
+        converged = True
+    except ArpackNoConvergence as stopped:
+        values, vectors, converged = stopped.eigenvalues, stopped.eigenvectors, False
+    if not len(values):
+        return None
+    largest = int(np.argmax(np.abs(values)))
+    return _Leading(complex(values[largest]), vectors[:, largest], converged)
 
 
 def _units(F: Float[ndarray, "d d"]) -> Float[ndarray, " d"]:

@@ -38,6 +38,8 @@ REFUTED, UNDECIDED, NO_ANSWER = 1, 3, 4
 ATTEMPTED = ("schur-stability", "steady-state", "attraction", "tolerance", "convergence", "performance")
 """What is attempted where nobody selects."""
 ON_REQUEST = ("decay-rate", "convergence-all", "switching")
+FILTER_CLAIMS = ("steady-state", "attraction", "tolerance", "convergence", "convergence-all")
+"""Those that speak of single filters, and are decided node by node."""
 
 
 def certify(
@@ -241,7 +243,6 @@ def _decide(
     console: Console,
 ) -> Iterator[Verdict]:
     """The verdicts, in the order of the claims."""
-    from tolnet.cli.filter_claims import FILTER_CLAIMS, decide_all
     from tolnet.cli.scenarios import read_scenarios
 
     evidence = subject.evidence
@@ -261,6 +262,8 @@ def _decide(
                     if drop_links is not None:
                         yield evidence.link_losses(drop_links, progress)
                 case _ if claim == next(name for name in wanted if name in FILTER_CLAIMS):
+                    from tolnet.cli.filter_claims import decide_all
+
                     yield from decide_all(_cases(subject), [c for c in wanted if c in FILTER_CLAIMS], progress)
 
 

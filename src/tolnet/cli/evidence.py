@@ -16,12 +16,14 @@ from tolnet.analysis.stability_candidates import (
     block_candidate,
     full_candidate,
     growth_candidate,
+    leading_mode,
     network_matrix,
     network_radius,
     power_candidate,
     switching_candidate,
 )
 from tolnet.certificates import statements
+from tolnet.certificates.eigenpair import refute_by_eigenpair
 from tolnet.certificates.numerals import number_text
 from tolnet.certificates.performance import exact_dynamics, prove_performance
 from tolnet.certificates.stability import (
@@ -103,7 +105,10 @@ class Evidence:
         centre = None if self.centre_loop is None else growth_candidate(self.centre_loop)
         if centre is not None:
             return "centre", centre
-        found = growth_candidate(self.matrix) if self.dimension <= _GROWTH_UP_TO else None
+        if self.dimension <= _GROWTH_UP_TO:
+            found = growth_candidate(self.matrix)
+        else:
+            found = leading_mode(self.loops, self.deployed.mixing)
         return None if found is None else ("network", found)
 
     def stability(self, progress: Progress | None = None) -> Verdict:
@@ -118,7 +123,11 @@ class Evidence:
                 tried.append(verdict.reason)
         if self.growth is not None:
             of, growth = self.growth
-            refuted = refute_stability(self.exact, of, growth.X, growth.v)
+            refuted = (
+                refute_by_eigenpair(self.deployed, growth.eigenvalue, growth.mode)
+                if growth.X is None
+                else refute_stability(self.exact, of, growth.X, growth.v)
+            )
             if isinstance(refuted, Refuted):
                 return refuted
             tried.append(refuted.reason)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray
 
-from tolnet.certificates import statements
+from tolnet.certificates import attraction, bracket, convergence, fixed_point, local_tolerance, statements
 from tolnet.certificates.balls import NotProved
 from tolnet.certificates.exact_filter import Covariance, ExactFilter, Sensor
 from tolnet.certificates.verdicts import Node, Proved, Refuted, Undecided, Verdict
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-FILTER_CLAIMS = ("steady-state", "attraction", "tolerance", "convergence", "convergence-all")
 _SEQUENTIAL_UP_TO = 4
 """Filters that are decided here and now, since starting processes would take longer."""
 
@@ -80,40 +79,31 @@ def heard_by(deployed: Deployed, node: Node) -> list[int]:
 
 def decide(case: FilterCase, claims: Sequence[str]) -> list[Verdict]:
     """The verdicts on one filter."""
-    from tolnet.certificates import attraction, fixed_point
+    box = fixed_point.find_box(case.exact, case.P, case.theta)
+    return [_decide(claim, case, box) for claim in claims if claim != "tolerance" or _has_tolerance(case)]
 
+
+def _has_tolerance(case: FilterCase) -> bool:
+    return case.node != "centre" and case.centre is not None
+
+
+def _decide(claim: str, case: FilterCase, box: fixed_point.Box | NotProved) -> Verdict:
     node, exact = case.node, case.exact
-    box = fixed_point.find_box(exact, case.P, case.theta)
-    found: list[Verdict] = []
-    for claim in claims:
-        if claim == "tolerance" and (node == "centre" or case.centre is None):
-            continue
-        found.append(_decide(claim, case, box, attraction, fixed_point))
-    return found
-
-
-def _decide(claim: str, case: FilterCase, box: Any, attraction: Any, fixed_point: Any) -> Verdict:
-    from tolnet.certificates import bracket, convergence, local_tolerance
-
-    node, exact = case.node, case.exact
-    if claim == "convergence-all":
-        return _verdict(claim, node, exact.c, bracket.prove_convergence_all(exact, case.P, case.theta))
-    if claim == "tolerance":
-        assert case.centre is not None
-        centre, P, theta = case.centre
-        at = fixed_point.find_box(centre, P, theta)
-        keys = (
-            at
-            if isinstance(at, NotProved)
-            else local_tolerance.prove_tolerance(centre, at, exact.sensors)
-        )
-        return _verdict(claim, node, centre.c, keys)
-    if isinstance(box, NotProved):
-        return _verdict(claim, node, exact.c, box)
-    if claim == "steady-state":
-        return _verdict(claim, node, exact.c, fixed_point.prove_steady_state(exact, box, case.gain))
-    if claim == "convergence":
-        return _verdict(claim, node, exact.c, convergence.prove_convergence(exact, box, case.start))
+    match claim:
+        case "tolerance":
+            assert case.centre is not None
+            centre, P, theta = case.centre
+            at = fixed_point.find_box(centre, P, theta)
+            keys = at if isinstance(at, NotProved) else local_tolerance.prove_tolerance(centre, at, exact.sensors)
+            return _verdict(claim, node, centre.c, keys)
+        case "convergence-all":
+            return _verdict(claim, node, exact.c, bracket.prove_convergence_all(exact, case.P, case.theta))
+        case _ if isinstance(box, NotProved):
+            return _verdict(claim, node, exact.c, box)
+        case "steady-state":
+            return _verdict(claim, node, exact.c, fixed_point.prove_steady_state(exact, box, case.gain))
+        case "convergence":
+            return _verdict(claim, node, exact.c, convergence.prove_convergence(exact, box, case.start))
     keys = attraction.prove_attraction(exact, box)
     if isinstance(keys, NotProved):
         against = attraction.refute_attraction(exact, box)

@@ -20,8 +20,9 @@ from tolnet.analysis.stability_candidates import block_candidate
 
 _HALVINGS = 30
 _ROUNDS = 12
+_MARGIN = 0.01
 _KEPT = 1e-3
-"""Part of X_k that each inequality keeps free, so that the result can be proved."""
+"""Part of X_k that each semidefinite programme keeps free, so that the next X exists."""
 _SETTLED = 1e-4
 _ALTERNATES_UP_TO = 200
 """Nodes up to which semidefinite programmes are solved; beyond, the proposal is only mixed with I."""
@@ -32,8 +33,10 @@ def stabilise_weights(
 ) -> tuple[sparse.csr_array, Float[ndarray, "N n n"], bool] | None:
     """W near the proposed one (`mixing` is its transpose), X that shows it stable block by block, and whether W = I.
 
+    The inequality keeps a margin of about 1 %: weights on the verge would be of no use to anybody.
     Assumes every M_k Schur and W nonnegative with columns that sum to one. None where nothing is proved even for I.
     """
+    M = M * np.sqrt(1 + _MARGIN)
     N = len(M)
     proposed, eye = sparse.csr_array(mixing), sparse.csr_array(sparse.eye_array(N))
 
@@ -55,7 +58,9 @@ def stabilise_weights(
         if high - low < 1e-4 * high:
             break
     if N <= _ALTERNATES_UP_TO:
-        best, X = _alternated(M, proposed, best, X)
+        starts = [(best, X)] + [(W, found) for W, found in map(mixed, (low / 2, low / 4, 0.0)) if found is not None]
+        ends = [_alternated(M, proposed, W, start) for W, start in starts]
+        best, X = min(ends, key=lambda end: _distance(end[0], proposed))
     apart = abs(best - eye)
     return sparse.csr_array(best.T), X, bool(apart.max() < 1e-9) if apart.nnz else True
 
