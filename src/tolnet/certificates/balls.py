@@ -40,7 +40,7 @@ def working_precision(bits: int) -> Any:
     return ctx.workprec(bits)
 
 
-def ball(x: float | int, radius: float | Ball = 0) -> Ball:
+def ball(x: float | Ball, radius: float | Ball = 0) -> Ball:
     """The exact number x, or x with a radius."""
     from flint import arb
 
@@ -129,8 +129,8 @@ def is_positive(M: BallMatrix) -> bool:
     """Whether every symmetric matrix in M was shown to be positive definite.
 
     With X near the inverse of a Cholesky factor of the middle, X M X' is near the identity: where its off-diagonal
-    row sums stay below its diagonal (Gershgorin) it is positive definite, hence X non-singular and M positive definite.
-    Where doubles do not reach that far, by a Cholesky decomposition in balls.
+    row sums stay below its diagonal (Gershgorin) it is positive definite, hence X is non-singular and M positive
+    definite. Where doubles do not reach that far, by a Cholesky decomposition in balls.
     """
     n = M.nrows()
     if n == 0:

@@ -1,7 +1,8 @@
 """One filter as an exact problem, and its equations in ball arithmetic.
 
 A filter is A, Q, the sensors that it hears, S = sum C_l' R_l^-1 C_l, and a tolerance c; every double is the number
-that it is. In balls, and in any coordinates of the state (Pi = I in the problem's own; docs/mathematics.md, section 11.4):
+that it is. In balls, and in any coordinates of the state (Pi = I in the problem's own; docs/mathematics.md,
+section 11.4):
 
     W = (I + P (S - theta Pi))^-1,  Z = W P,  K = A W,     T(P, theta) = A Z A' + Q
     H = (I - theta P Pi)^-1,                               gamma = log det(I - theta P Pi) + tr(H - I)

@@ -26,6 +26,8 @@ from tolnet.certificates.balls import Ball, BallMatrix, NotProved
 from tolnet.certificates.exact_filter import Equations, ExactFilter, coordinates_of, matrix_from, upper
 from tolnet.certificates.numerals import number_text, symmetric_matrix, symmetric_text
 
+MOST_STATES = 30
+"""The derivative is a matrix of n (n + 1) / 2 rows."""
 _NEWTON_STEPS = 12
 _PRECISIONS = (balls.BITS, 2 * balls.BITS, 6 * balls.BITS)
 _REFINEMENTS = 2
@@ -115,6 +117,8 @@ def find_box(exact: ExactFilter, P: Float[ndarray, "n n"], theta: float) -> Box 
 
     `theta` must be 0 exactly where c = 0. NotProved where Newton's method does not settle, or no radius serves.
     """
+    if len(P) > MOST_STATES:
+        return NotProved(f"more than {MOST_STATES} states are not tried")
     if not (np.isfinite(P).all() and np.isfinite(theta) and (np.diag(P) > 0).all() and (theta > 0) == (exact.c > 0)):
         return NotProved("there is no steady state in floating point to begin with")
     for bits in _PRECISIONS:
@@ -167,6 +171,8 @@ def enclose(exact: ExactFilter, box: Box) -> Enclosure | NotProved:
 def _complaint(exact: ExactFilter, box: Box) -> str | None:
     """What makes a filter or a box meaningless."""
     n = len(exact.A)
+    if n > MOST_STATES:
+        return f"more than {MOST_STATES} states are not tried"
     if box.P.shape != (n, n) or not np.array_equal(box.P, box.P.T):
         return f"the box is no symmetric {n} x {n} matrix"
     if not (np.isfinite(box.P).all() and math.isfinite(box.theta) and math.isfinite(exact.c)):
