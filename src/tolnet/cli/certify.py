@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from tolnet.cli.console import Console, complain
+from tolnet.cli.console import Console, ProgressBar, complain
 from tolnet.cli.documents import write
 from tolnet.cli.options import (
     AsJson,
@@ -29,6 +29,8 @@ from tolnet.cli.options import (
 from tolnet.cli.solving import solve_table
 
 if TYPE_CHECKING:
+    from numpy import ndarray
+
     from tolnet.certificates.deployed import Deployed
     from tolnet.certificates.verdicts import Node, Verdict
     from tolnet.cli.evidence import Evidence
@@ -262,23 +264,34 @@ def _decide(
                     if drop_links is not None:
                         yield evidence.link_losses(drop_links, progress)
                 case _ if claim == next(name for name in wanted if name in FILTER_CLAIMS):
-                    from tolnet.cli.filter_claims import decide_all
-
-                    yield from decide_all(_cases(subject), [c for c in wanted if c in FILTER_CLAIMS], progress)
+                    yield from _decide_filters(subject, [c for c in wanted if c in FILTER_CLAIMS], progress)
 
 
-def _cases(subject: Subject):
-    from tolnet.cli.filter_claims import cases_of
+def _decide_filters(subject: Subject, claims: Sequence[str], progress: ProgressBar) -> Iterator[Verdict]:
+    """The verdicts on single filters, claim by claim: the centre first, then the nodes."""
+    from functools import partial
 
+    from tolnet.certificates.filter_claims import SteadyStates, decide, find_centre
+    from tolnet.cli.parallel import in_parallel
+
+    local, central = subject.local, subject.central
     nodes: list[Node] = [*range(subject.network.N)]
-    P: dict[Node, object] = dict(enumerate(subject.local.P))
-    theta: dict[Node, float] = dict(enumerate(subject.local.theta.tolist()))
-    c: dict[Node, float] = dict(enumerate(subject.local.tolerance.tolist()))
-    if subject.central.exists:
-        nodes.insert(0, "centre")
-        P["centre"], theta["centre"] = subject.central.P, float(subject.central.theta)
-        c["centre"] = float(subject.central.tolerance)
-    return cases_of(subject.deployed, nodes, P, theta, c)  # pyright: ignore[reportArgumentType]
+    c, P, theta = local.tolerance.tolist(), list(local.P), local.theta.tolist()
+    centre = None
+    if central.exists:
+        own = float(central.tolerance), central.P, float(central.theta)
+        centre = find_centre(subject.deployed, *own)
+        nodes, c, P, theta = ["centre", *nodes], [own[0], *c], [own[1], *P], [own[2], *theta]
+    parts = SteadyStates(nodes, c, P, theta, centre).parts(_at_a_time(len(nodes)))
+    work = partial(decide, deployed=subject.deployed, claims=claims)
+    found = [verdict for verdicts in in_parallel(work, parts, progress) for verdict in verdicts]
+    for claim in claims:
+        yield from (verdict for verdict in found if verdict.claim == claim)
+
+
+def _at_a_time(filters: int) -> int:
+    """Filters that one process decides in a row: few, to show progress; not too few, since each row starts anew."""
+    return max(1, min(50, filters // 16))
 
 
 def _published(subject: Subject, verdicts: Sequence[Verdict]) -> float | None:
