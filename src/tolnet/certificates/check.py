@@ -13,6 +13,7 @@ Read in this order: exact matrices, definiteness, the conditions (a function eac
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import math
 import sys
@@ -36,6 +37,10 @@ SMALL = 12  # rows up to which elimination decides definiteness
 
 class Refused(Exception):
     """The file is no certificate, or too large to be checked."""
+
+
+class Declined(Exception):
+    """The claim may well be true, but is not checked here."""
 
 
 class Wrong(Exception):
@@ -115,6 +120,18 @@ def _scaled(whole: int, exponent: int) -> Fraction:
 def _congruence(P: Matrix, S: Matrix) -> Matrix:
     """P S P' for a symmetric S."""
     return S.by(P).T.by(P)
+
+
+def _combination(terms: Iterable[tuple[Fraction | int, Matrix]], n: int) -> Matrix:
+    """The sum of dyadic numbers times matrices n x n."""
+    given = [(c.numerator, P.exponent - _log2(c.denominator), P.rows) for c, P in terms]
+    if not given:
+        return Matrix.zero(n, n)
+    exponent = min(e for _, e, _ in given)
+    scale = [c << (e - exponent) for c, e, _ in given]
+    by_row = zip(*(rows for _, _, rows in given), strict=True)
+    rows = [[sum(map(mul, scale, entries)) for entries in zip(*same, strict=True)] for same in by_row]
+    return Matrix(rows, exponent)
 
 
 def _beside(parts: list[Matrix]) -> Matrix:
@@ -219,6 +236,11 @@ def _require(condition: bool, complaint: str) -> None:
         raise Wrong(complaint)
 
 
+def _afford(work: int, most: int, what: str) -> None:
+    if work > most:
+        raise Declined(f"{what}: too large to be checked here")
+
+
 # -------------------- The deployment, and what is derived from it ---------------------------------------------
 
 Watch = Callable[[str, int], Iterator[int]]  # range(count), with a label to show meanwhile
@@ -246,19 +268,9 @@ class Network:
     @cached_property
     def whole(self) -> Matrix:
         """The network block, whose block (k, l) is w_lk M_l."""
-        _require(
-            len(self) * self.n <= LARGEST_MATRIX, f"a network of more than {LARGEST_MATRIX} states in one matrix"
-        )
+        _afford(len(self) * self.n, LARGEST_MATRIX, "the network in one matrix")
         blocks = {(k, l): w * self.loops[l] for k, row in self.weights.items() for l, w in row.items()}
         return _assemble(blocks, len(self), self.n)
-
-
-@dataclass(frozen=True)
-class Centre:
-    """The stated least favourable model: gains G_l, and a factor of T."""
-
-    gains: list[Matrix]
-    tilt: Matrix
 
 
 @dataclass(frozen=True)
@@ -274,7 +286,8 @@ class Deployment:
     neighbours: list[list[int]]
     weights: list[dict[int, Fraction]]
     gains: list[Matrix]
-    stated_centre: Centre | None
+    centre_gains: list[Matrix] | None
+    tilt: Matrix  # a factor of T
     watch: Watch
 
     def gain(self, k: int, l: int) -> Matrix:
@@ -297,25 +310,26 @@ class Deployment:
         return Network(self.n, weights, _sigma(weights), loops, hearers, self.watch)
 
     @property
-    def centre(self) -> Centre:
-        if self.stated_centre is None:
+    def centre(self) -> list[Matrix]:
+        """The centre's gains G_l."""
+        if self.centre_gains is None:
             raise Wrong("the claim needs data.centre")
-        return self.stated_centre
+        return self.centre_gains
 
     @cached_property
     def centre_noise(self) -> Matrix:
         """N = Q + G R G'."""
-        return sum((_congruence(G, R) for G, R in zip(self.centre.gains, self.R, strict=True)), self.Q)
-
-    @cached_property
-    def centre_loop(self) -> Matrix:
-        """F_0 = A - G C."""
-        return self.A - _beside(self.centre.gains).by(_beside(self.C))
+        return sum((G.by(R).by(G) for G, R in zip(self.centre, self.R, strict=True)), self.Q)
 
     @cached_property
     def tilted_loop(self) -> Matrix:
         """T F_0."""
-        return self.centre.tilt.by(self.centre.tilt) @ self.centre_loop
+        return self.tilt.by(self.tilt) @ self.centre_loop
+
+    @cached_property
+    def centre_loop(self) -> Matrix:
+        """F_0 = A - G C."""
+        return self.A - _beside(self.centre).by(_beside(self.C))
 
     @cached_property
     def centre_block(self) -> Matrix:
@@ -324,7 +338,7 @@ class Deployment:
 
     def cross_noise(self, k: int) -> Matrix:
         """E_k = Q + sum_l G_{k,l} R_l G_{.,l}', for l heard by k."""
-        terms = (self.gain(k, l).by(self.R[l]).by(self.centre.gains[l]) for l in self.neighbours[k])
+        terms = (self.gain(k, l).by(self.R[l]).by(self.centre[l]) for l in self.neighbours[k])
         return sum(terms, self.Q)
 
 
@@ -332,27 +346,22 @@ def _sigma(weights: dict[int, dict[int, Fraction]]) -> dict[int, Fraction]:
     return {k: sum(map(abs, row.values()), Fraction(0)) for k, row in weights.items()}
 
 
-def _total(terms: Iterable[Matrix], n: int) -> Matrix:
-    return sum(terms, Matrix.zero(n, n))
-
-
 # -------------------- Stability, a function a method; s stands for (1 - delta) r^2 ----------------------------
 
 
 def primal(network: Network, X: list[Matrix], s: Fraction) -> None:
-    """s X_k - sigma_k sum_l |w_lk| M_l X_l M_l' > 0, X_k > 0."""
+    """s X_k - sigma_k sum_l |w_lk| M_l X_l M_l' > 0."""
     moved = [_congruence(network.loops[l], X[l]) for l in network.watch("M X M'", len(network))]
     for k in network.watch("primal conditions", len(network)):
-        _require_definite(X[k], f"X[{k}]")
-        total = _total((abs(w) * moved[l] for l, w in network.weights[k].items()), network.n)
+        total = _combination(((abs(w), moved[l]) for l, w in network.weights[k].items()), network.n)
         _require_definite(s * X[k] - network.sigma[k] * total, f"the primal condition of node {k}")
 
 
 def dual(network: Network, Y: list[Matrix], s: Fraction, nodes: Iterable[int], suffix: str = "") -> None:
-    """s Y_l - M_l' (sum_k sigma_k |w_lk| Y_k) M_l > 0 for these l; Y_l > 0 is shown elsewhere (definite)."""
+    """s Y_l - M_l' (sum_k sigma_k |w_lk| Y_k) M_l > 0 for these l."""
     for l in nodes:
         heard = ((k, network.weights[k].get(l)) for k in network.hearers[l])
-        S = _total((network.sigma[k] * abs(w) * Y[k] for k, w in heard if w), network.n)
+        S = _combination(((network.sigma[k] * abs(w), Y[k]) for k, w in heard if w), network.n)
         _require_definite(s * Y[l] - _congruence(network.loops[l].T, S), f"the dual condition of node {l}{suffix}")
 
 
@@ -363,31 +372,27 @@ def definite(network: Network, name: str, matrices: list[Matrix]) -> None:
 
 
 def power(network: Network, j: int, X: list[Matrix], shares: Any, rate: Fraction, margin: Fraction) -> None:
-    """(1 - delta) r^2j X_k - sum_l (A^j)_kl X_l (A^j)_kl' / p_kl > 0, X_k > 0, sum_l p_kl <= 1, for A the block."""
+    """(1 - delta) r^2j X_k - sum_l (A^j)_kl X_l (A^j)_kl' / p_kl > 0, sum_l p_kl <= 1, for A the network block."""
     s = (1 - margin) * rate ** (2 * j)
     work = 0
     for k in network.watch(f"paths of {j} links", len(network)):
         blocks = {k: Matrix.unit(network.n)}  # (A^i)_kl by l; that of i + 1 is (sum_m w_lm (A^i)_km) M_l
         for _ in range(j):
-            reached: dict[int, list[Matrix]] = {}
+            reached: dict[int, list[tuple[Fraction, Matrix]]] = {}
             for m, block in blocks.items():
                 for l, w in network.weights[m].items():
-                    reached.setdefault(l, []).append(w * block)
+                    reached.setdefault(l, []).append((w, block))
                 work += len(network.weights[m]) * network.n**2
             work += len(reached) * network.n**3
-            _require(work <= MOST_WORK, "too many paths to be checked here")
-            blocks = {l: _total(terms, network.n) @ network.loops[l] for l, terms in reached.items()}
+            _afford(work, MOST_WORK, f"paths of {j} links")
+            blocks = {l: _combination(terms, network.n) @ network.loops[l] for l, terms in reached.items()}
         p = _doubles(shares[k], len(blocks), f"proof.shares[{k}]")
         _require(all(share > 0 for share in p), f"a share of node {k} is not positive")
         _require(sum(map(Fraction, p)) <= 1, f"the shares of node {k} exceed one")
-        total = _total(
-            (
-                _above_inverse(share) * _congruence(blocks[l], X[l])
-                for l, share in zip(sorted(blocks), p, strict=True)
-            ),
-            network.n,
+        moved = (
+            (_above_inverse(share), _congruence(blocks[l], X[l])) for l, share in zip(sorted(blocks), p, strict=True)
         )
-        _require_definite(X[k], f"X[{k}]")
+        total = _combination(moved, network.n)
         _require_definite(s * X[k] - total, f"the condition of node {k} on paths of {j} links")
 
 
@@ -407,25 +412,26 @@ def stable(claim: dict[str, Any], at: Deployment) -> None:
     rate = Fraction(_rate(claim)) if "rate" in claim else Fraction(1)
     margin = _margin(claim)
     s, n, network = (1 - margin) * rate**2, at.n, at.network
-    keys = {"primal": ("X",), "dual": ("Y",), "power": ("power", "X", "shares"), "full": ("X",)}
+    keys = {"primal": ("X",), "dual": ("Y",), "power": ("X", "power", "shares"), "full": ("X",)}
     method = claim["proof"].get("method") if isinstance(claim["proof"], dict) else None
-    own = keys.get(method) if isinstance(method, str) else None
-    if own is None:
+    if not isinstance(method, str) or method not in keys:
         raise Wrong("proof.method: expected primal, dual, power or full")
-    proof = _object(claim["proof"], "proof", "method", *own, *(("centre",) if claim["block"] == "F" else ()))
-    if method == "primal":
-        primal(network, _symmetric_list(proof["X"], len(network), n, "proof.X"), s)
-    elif method == "dual":
-        Y = _symmetric_list(proof["Y"], len(network), n, "proof.Y")
-        definite(network, "Y", Y)
-        dual(network, Y, s, network.watch("dual conditions", len(network)))
-    elif method == "power":
-        X = _symmetric_list(proof["X"], len(network), n, "proof.X")
-        shares = _list(proof["shares"], len(network), "proof.shares")
-        power(network, _whole(proof["power"], 2, 64, "proof.power"), X, shares, rate, margin)
-    else:
+    of_centre = ("centre",) if claim["block"] == "F" else ()
+    proof = _object(claim["proof"], "proof", "method", *keys[method], *of_centre)
+    if method == "full":
         whole = network.whole
         full(whole, _symmetric(proof["X"], len(whole.rows), "proof.X"), s, "proof.X")
+    else:
+        name = keys[method][0]
+        matrices = _symmetric_list(proof[name], len(network), n, f"proof.{name}")
+        definite(network, name, matrices)
+        if method == "primal":
+            primal(network, matrices, s)
+        elif method == "dual":
+            dual(network, matrices, s, network.watch("dual conditions", len(network)))
+        else:
+            shares = _list(proof["shares"], len(network), "proof.shares")
+            power(network, _whole(proof["power"], 2, 64, "proof.power"), matrices, shares, rate, margin)
     if claim["block"] == "F":
         full(at.centre_block, _symmetric(proof["centre"], n, "proof.centre"), s, "proof.centre")
 
@@ -461,16 +467,20 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
     rho = Fraction(_doubles(witness["radius"], 1, "witness.radius")[0])
     _require(rho > 0, "witness.radius is not positive")
 
-    unit, corner, row = Matrix.unit(d), Matrix.zero(1, 1), Matrix.zero(1, d)
-    at_pivot = Matrix([[int(j == pivot) for j in range(d)]], 0)
-    f = _beside([x.by(block) - a * x + b * y, corner])
-    g = _beside([y.by(block) - a * y - b * x, corner])
-    Jx = _beside([_beside([(block - a * unit).T, at_pivot.T]).T, _beside([-1 * x, corner]).T])
-    Jy = _beside([_beside([-b * unit, row.T]).T, _beside([-1 * y, corner]).T])
+    corner = Matrix.zero(1, 1)
+    selection = Matrix([[int(j == pivot)] for j in range(d)], 0)
+    f, g = _beside([x.by(block) - a * x + b * y, corner]), _beside([y.by(block) - a * y - b * x, corner])
+    Jx = _bordered(block - a * Matrix.unit(d), x, selection)  # the Jacobian is Jx + i Jy
+    Jy = _bordered(-b * Matrix.unit(d), y, Matrix.zero(d, 1))
     residual = _norm((f.by(B) - g.by(D)).T, (g.by(B) + f.by(D)).T)
     defect = _norm(Matrix.unit(d + 1) - (B @ Jx - D @ Jy), B @ Jy + D @ Jx)
     _require(residual + defect * rho + _norm(B, D) * rho**2 < rho, "the Newton step leaves the ball of the witness")
     _require(a**2 + b**2 > (1 + rho) ** 2, "the ball of the witness reaches the unit disc")
+
+
+def _bordered(P: Matrix, z: Matrix, selection: Matrix) -> Matrix:
+    """[[P, -z], [selection', 0]]."""
+    return _beside([_beside([P.T, selection]).T, _beside([-1 * z, Matrix.zero(1, 1)]).T])
 
 
 def _norm(re: Matrix, im: Matrix) -> Fraction:
@@ -507,16 +517,18 @@ def _drop_links_of(l: int, most: int, at: Deployment, Y: list[Matrix], s: Fracti
     """The dual condition of l for every set of at most so many links at l (into l, in a directed network)."""
     network, own = at.network, at.network.weights[l]
     others = [j for j in at.neighbours[l] if j != l]
-    sets = sum(math.comb(len(others), size) for size in range(min(most, len(others)) + 1))
-    _require(sets * len(network) * at.n**3 <= 10 * MOST_WORK, f"node {l} has too many sets of links")
+    sets = 0
+    for size in range(min(most, len(others)) + 1):
+        sets += math.comb(len(others), size)
+        _afford(sets * len(network) * at.n**3, 10 * MOST_WORK, f"every set of links at node {l}")
     _require(min(own.values(), default=0) >= 0, f"a link drops at node {l}, which has a negative weight")
-    terms = {k: network.sigma[k] * abs(network.weights[k].get(l, 0)) * Y[k] for k in network.hearers[l]}
+    terms = {k: (network.sigma[k] * abs(network.weights[k].get(l, 0)), Y[k]) for k in network.hearers[l]}
     lost = {j: at.gain(l, j).by(at.C[j]) for j in others}
     for size in range(min(most, len(others)) + 1):
         for gone in combinations(others, size):
             kept = [term for k, term in terms.items() if k != l and (at.directed or k not in gone)]
             alone = own.get(l, Fraction(0)) + sum(own.get(j, Fraction(0)) for j in gone)
-            S = _total([*kept, network.sigma[l] * alone * Y[l]], at.n)
+            S = _combination([*kept, (network.sigma[l] * alone, Y[l])], at.n)
             M = sum((lost[j] for j in gone), network.loops[l])
             _require_definite(
                 s * Y[l] - _congruence(M.T, S), f"the dual condition of node {l} without links to {gone}"
@@ -563,11 +575,13 @@ def performance(claim: dict[str, Any], at: Deployment) -> None:
     network, n, last = at.network, at.n, len(at.network)
     proof = _object(claim["proof"], "proof", "method", "Q", "X", "epsilon", "delta", "share")
     _require(proof["method"] == "blocks", "proof.method: expected blocks")
-    _require((last + 1) * n <= LARGEST_MATRIX, f"a network of more than {LARGEST_MATRIX} states in one matrix")
+    _afford((last + 1) * n, LARGEST_MATRIX, "the network in one matrix")
     epsilon, delta, share = (
         Fraction(_doubles(proof[name], 1, f"proof.{name}")[0]) for name in ("epsilon", "delta", "share")
     )
     _require(epsilon > 0 and 0 < delta < 1 and 0 < share < 1, "proof: epsilon, delta or share out of range")
+    for l in range(last):
+        _require_definite(at.R[l], f"R[{l}]")
     Q = _symmetric(proof["Q"], (last + 1) * n, "proof.Q")
     X = _symmetric_list(proof["X"], last + 1, n, "proof.X")
 
@@ -585,8 +599,8 @@ def performance(claim: dict[str, Any], at: Deployment) -> None:
     moved = [_congruence(network.loops[l], X[l]) for l in range(last)]
     for k, row in network.weights.items():
         # The condition of the node, times pi (1 - pi).
-        own = network.sigma[k] * _total((abs(w) * moved[l] for l, w in row.items()), n)
-        coupled = _congruence(_total((w * coupling[l] for l, w in row.items()), n), X[last])
+        own = network.sigma[k] * _combination(((abs(w), moved[l]) for l, w in row.items()), n)
+        coupled = _congruence(_combination(((w, coupling[l]) for l, w in row.items()), n), X[last])
         gap = share * (1 - share) * (1 - delta) * X[k] - share * own - (1 - share) * coupled
         _require_definite(gap, f"the contraction of node {k}")
     full(at.centre_block, X[last], 1 - delta, "the centre's X")
@@ -605,10 +619,9 @@ def performance(claim: dict[str, Any], at: Deployment) -> None:
 def _step(at: Deployment, Q: Matrix, cross: list[Matrix], coupling: list[Matrix]) -> Matrix:
     """F Q F' + G G', as mixing (by W) of what the filters do before they mix."""
     network, n, last = at.network, at.n, len(at.network)
-    tilt = at.centre.tilt
-    tilted = [E @ tilt for E in [*cross, at.centre_noise]]  # E_k Y, T = Y Y'
+    tilted = [E @ at.tilt for E in [*cross, at.centre_noise]]  # E_k Y, T = Y Y'
     gains = [{l: at.gain(k, l) for l in heard} for k, heard in enumerate(at.neighbours)]
-    gains.append(dict(enumerate(at.centre.gains)))
+    gains.append(dict(enumerate(at.centre)))
     noise = {}
     for k in range(last + 1):
         for l in range(last + 1):
@@ -649,13 +662,7 @@ class Finding:
     reason: str | None
 
 
-@dataclass(frozen=True)
-class Rule:
-    """Keys of a claim of its own, the sentence that it may say, and what verifies it (None: not checked here)."""
-
-    keys: tuple[str, ...]
-    sentence: Callable[[dict[str, Any]], str] | None = None
-    verify: Callable[[dict[str, Any], Deployment], None] | None = None
+Verify = Callable[[dict[str, Any], Deployment], None]
 
 
 def _block(claim: dict[str, Any]) -> str:
@@ -678,32 +685,27 @@ def _margin(claim: dict[str, Any]) -> Fraction:
     return Fraction(float(margin))
 
 
-def _say_stable(claim: dict[str, Any]) -> str:
-    return f"Every eigenvalue of {_block(claim)} lies inside the unit circle: errors die out."
-
-
-def _say_rate(claim: dict[str, Any]) -> str:
-    return f"Every eigenvalue of {_block(claim)} lies inside the circle of radius {_rate(claim)!r}."
-
-
-def _say_unstable(claim: dict[str, Any]) -> str:
-    of = claim["witness"].get("of") if isinstance(claim["witness"], dict) else None
-    if of not in ("network", "centre") or (of == "centre" and _block(claim) != _block({"block": "F"})):
-        raise Wrong("witness.of: expected network, or centre for a claim about F")
-    name = "network" if of == "network" else "least favourable"
-    return f"Some eigenvalue of the {name} block of the error dynamics lies outside the unit circle: errors grow."
-
-
-def _say_switching(claim: dict[str, Any]) -> str:
-    _require(("drop" in claim) != ("scenarios" in claim), "expected exactly one of drop and scenarios")
-    if "drop" in claim:
-        how = f"links drop and return, at most {_whole(claim['drop'], 1, 10**6, 'drop')} at once"
-    else:
-        how = f"the nominal network and {len(_list(claim['scenarios'], None, 'scenarios'))} scenarios alternate"
-    return f"The network block of the error dynamics stays stable however {how}."
-
-
-def _say_performance(claim: dict[str, Any]) -> str:
+def sentence(claim: dict[str, Any]) -> str:
+    """The only statement that the claim may make."""
+    name, block = claim["claim"], _block(claim) if "block" in claim else ""
+    if claim["verdict"] == "refuted":
+        of = claim["witness"].get("of") if isinstance(claim["witness"], dict) else None
+        if of != "network" and (of != "centre" or claim["block"] != "F"):
+            raise Wrong("witness.of: expected network, or centre for a claim about F")
+        which = "network" if of == "network" else "least favourable"
+        return (
+            f"Some eigenvalue of the {which} block of the error dynamics lies outside the unit circle: errors grow."
+        )
+    if name == "schur-stability":
+        return f"Every eigenvalue of {block} lies inside the unit circle: errors die out."
+    if name == "decay-rate":
+        return f"Every eigenvalue of {block} lies inside the circle of radius {_rate(claim)!r}."
+    if name == "switching":
+        if "drop" in claim:
+            how = f"links drop and return, at most {_whole(claim['drop'], 1, 10**6, 'drop')} at once"
+        else:
+            how = f"the nominal network and {len(_list(claim['scenarios'], None, 'scenarios'))} scenarios alternate"
+        return f"The network block of the error dynamics stays stable however {how}."
     low, high = _doubles(claim["network"], 2, "network")
     return (
         "Under the stated least favourable model the mean square deviation of the network lies in "
@@ -711,18 +713,18 @@ def _say_performance(claim: dict[str, Any]) -> str:
     )
 
 
-RULES = {
-    ("schur-stability", "proved"): Rule(("block",), _say_stable, stable),
-    ("schur-stability", "refuted"): Rule(("block",), _say_unstable, unstable),
-    ("decay-rate", "proved"): Rule(("block", "rate"), _say_rate, stable),
-    ("switching", "proved"): Rule(("drop?", "scenarios?"), _say_switching, switching),
-    ("performance", "proved"): Rule(("nodes", "centre", "network"), _say_performance, performance),
-    ("steady-state", "proved"): Rule(("node", "c", "gain_error")),
-    ("attraction", "proved"): Rule(("node", "c", "rate")),
-    ("attraction", "refuted"): Rule(("node", "c")),
-    ("tolerance", "proved"): Rule(("node", "c", "interval")),
-    ("convergence", "proved"): Rule(("node", "c", "start")),
-    ("convergence-all", "proved"): Rule(("node", "c")),
+RULES: dict[tuple[str, str], tuple[tuple[str, ...], Verify | None]] = {  # keys of its own, and what verifies it
+    ("schur-stability", "proved"): (("block",), stable),
+    ("schur-stability", "refuted"): (("block",), unstable),
+    ("decay-rate", "proved"): (("block", "rate"), stable),
+    ("switching", "proved"): (("drop|scenarios",), switching),
+    ("performance", "proved"): (("nodes", "centre", "network"), performance),
+    ("steady-state", "proved"): (("node", "c", "gain_error"), None),
+    ("attraction", "proved"): (("node", "c", "rate"), None),
+    ("attraction", "refuted"): (("node", "c"), None),
+    ("tolerance", "proved"): (("node", "c", "interval"), None),
+    ("convergence", "proved"): (("node", "c", "start"), None),
+    ("convergence-all", "proved"): (("node", "c"), None),
 }
 COMMON = ("claim", "verdict", "statement", "margin", "reason")
 EVIDENCE = {"proved": "proof", "refuted": "witness"}
@@ -730,40 +732,41 @@ EVIDENCE = {"proved": "proof", "refuted": "witness"}
 
 def examine(claim: Any, at: Deployment) -> Finding:
     """What is to be said of one claim."""
-    named = claim if isinstance(claim, dict) else {}
-    texts = (named.get(key) for key in ("claim", "verdict", "statement"))
+    given = claim if isinstance(claim, dict) else {}
+    texts = (given.get(key) for key in ("claim", "verdict", "statement"))
     name, verdict, statement = (text[:300] if isinstance(text, str) else "" for text in texts)
-    node = named.get("node")
+    node = given.get("node")
 
-    def finding(result: str, reason: str | None = None) -> Finding:
+    def finding(result: str, reason: str | None) -> Finding:
         return Finding(name, node if type(node) in (int, str) else None, verdict, result, statement, reason)
 
     try:
         if verdict == "undecided":
-            return finding("undecided", _undecided(claim, name))
-        if verdict not in EVIDENCE or (name, verdict) not in RULES:
+            return finding("undecided", _what_was_tried(given, name))
+        if (name, verdict) not in RULES:
             raise Wrong("no such claim, or none that can have this verdict")
-        rule = RULES[name, verdict]
-        required = [key for key in rule.keys if not key.endswith("?")]
-        optional = [key[:-1] for key in rule.keys if key.endswith("?")]
-        _object(claim, "the claim", *COMMON, EVIDENCE[verdict], *required, optional=optional)
-        _require(claim["reason"] is None, "reason: expected null for a claim that is decided")
-        if rule.sentence is None or rule.verify is None:
-            return finding("not checked here", "it needs a logarithm: tolnet check does it in ball arithmetic")
-        if rule.verify in (unstable, performance):
-            _require(claim["margin"] is None, "margin: expected null")
-        _require(claim["statement"] == rule.sentence(claim), "the statement is not the one that the claim proves")
-        rule.verify(claim, at)
+        own, verify = RULES[name, verdict]
+        keys = [("drop" if "drop" in given else "scenarios") if key == "drop|scenarios" else key for key in own]
+        _object(given, "the claim", *COMMON, EVIDENCE[verdict], *keys)
+        _require(given["reason"] is None, "reason: expected null for a claim that is decided")
+        if verify is None:
+            raise Declined("it needs a logarithm, which tolnet check takes in ball arithmetic")
+        if verify in (unstable, performance):
+            _require(given["margin"] is None, "margin: expected null")
+        _require(given["statement"] == sentence(given), "the statement is not the one that this claim can make")
+        verify(given, at)
     except Wrong as wrong:
         return finding("invalid", str(wrong))
-    return finding("valid")
+    except Declined as declined:
+        return finding("not checked here", str(declined))
+    return finding("valid", None)
 
 
-def _undecided(claim: dict[str, Any], name: str) -> str:
-    """The reason of a claim that claims nothing."""
-    rules = [rule.keys for (known, _), rule in RULES.items() if known == name]
-    _require(bool(rules), "no such claim")
-    own = {key.rstrip("?") for keys in rules for key in keys}
+def _what_was_tried(claim: dict[str, Any], name: str) -> str:
+    own = {
+        part for (known, _), (keys, _) in RULES.items() if known == name for key in keys for part in key.split("|")
+    }
+    _require(bool(own), "no such claim")
     _object(claim, "the claim", *COMMON, optional=own)
     _require(claim["margin"] is None, "margin: expected null")
     if not isinstance(claim["reason"], str) or not claim["reason"]:
@@ -893,30 +896,16 @@ def _symmetric_list(thing: Any, count: int, n: int, where: str) -> list[Matrix]:
     return [_symmetric(text, n, f"{where}[{k}]") for k, text in enumerate(_list(thing, count, where))]
 
 
-def _symmetric_in_full(text: Any, n: int, where: str) -> Matrix:
-    S = _matrix(text, n, n, where)
-    _require(S.rows == S.T.rows, f"{where}: expected a symmetric matrix")
-    return S
-
-
-def _process(thing: Any, n: int) -> Matrix:
-    """Q, or B B'."""
-    if isinstance(thing, dict) and "Q" in thing:
-        return _symmetric_in_full(_object(thing, "data.process", "Q")["Q"], n, "data.process.Q")
-    _object(thing, "data.process", "B", "columns")
-    B = _matrix(thing["B"], n, _whole(thing["columns"], 0, 10**8, "data.process.columns"), "data.process.B")
-    return B.by(B)
-
-
-def _noise(thing: Any, p: int, where: str) -> Matrix:
-    """R, or D D'; empty for a relay."""
-    if p == 0:
-        _object(thing, where)
-        return Matrix([], 0)
-    if isinstance(thing, dict) and "R" in thing:
-        return _symmetric_in_full(_object(thing, where, "R")["R"], p, f"{where}.R")
-    D = _matrix(_object(thing, where, "D")["D"], p, p, f"{where}.D")
-    return D.by(D)
+def _covariance(thing: Any, where: str, n: int, full: str, factor: str, *columns: str) -> Matrix:
+    """S from {full: S}, or F F' from {factor: F}; without columns the factor is square."""
+    if isinstance(thing, dict) and full in thing:
+        S = _matrix(_object(thing, where, full)[full], n, n, f"{where}.{full}")
+        _require(S.rows == S.T.rows, f"{where}.{full}: expected a symmetric matrix")
+        return S
+    _object(thing, where, factor, *columns)
+    width = _whole(thing["columns"], 0, 10**8, f"{where}.columns") if columns else n
+    F = _matrix(thing[factor], n, width, f"{where}.{factor}")
+    return F.by(F)
 
 
 def _weights(thing: Any, neighbours: list[list[int]], where: str) -> list[dict[int, Fraction]]:
@@ -959,35 +948,36 @@ def _deployment(data: Any, watch: Watch) -> Deployment:
     neighbours = _neighbours(data["neighbours"], nodes, directed)
     work = sum(n**3 + len(heard) * n**2 for heard in neighbours)
     _require(work <= MOST_WORK, "data: a network too large to be checked here")
-
     C, R = [], []
     noise = _list(data["noise"], nodes, "data.noise")
     for k, text in enumerate(_list(data["C"], nodes, "data.C")):
         p = (text.count(" ") + 1) // n if isinstance(text, str) and text else 0
         rows = _matrix(text, p, n, f"data.C[{k}]")
         C.append(Matrix([[row[i] for row in rows.rows] for i in range(n)], rows.exponent))
-        R.append(_noise(noise[k], p, f"data.noise[{k}]"))
+        where = f"data.noise[{k}]"
+        R.append(_covariance(noise[k], where, p, "R", "D") if p or _object(noise[k], where) else Matrix([], 0))
+    centre_gains, tilt = None, Matrix.zero(n, 0)
+    if data["centre"] is not None:
+        centre = _object(data["centre"], "data.centre", "gain", "tilt", "columns")
+        texts = _list(centre["gain"], nodes, "data.centre.gain")
+        centre_gains = [_matrix(text, n, len(C[l].rows[0]), f"data.centre.gain[{l}]") for l, text in enumerate(texts)]
+        tilt = _matrix(
+            centre["tilt"], n, _whole(centre["columns"], 0, 10**8, "data.centre.columns"), "data.centre.tilt"
+        )
     return Deployment(
         n=n,
         A=_matrix(data["A"], n, n, "data.A"),
-        Q=_process(data["process"], n),
+        Q=_covariance(data["process"], "data.process", n, "Q", "B", "columns"),
         C=C,
         R=R,
         directed=directed,
         neighbours=neighbours,
         weights=_weights(data["weights"], neighbours, "data.weights"),
         gains=_gains(data["gains"], n, neighbours, C, "data.gains"),
-        stated_centre=None if data["centre"] is None else _centre(data["centre"], n, C),
+        centre_gains=centre_gains,
+        tilt=tilt,
         watch=watch,
     )
-
-
-def _centre(thing: Any, n: int, C: list[Matrix]) -> Centre:
-    _object(thing, "data.centre", "gain", "tilt", "columns")
-    columns = _whole(thing["columns"], 0, 10**8, "data.centre.columns")
-    texts = _list(thing["gain"], len(C), "data.centre.gain")
-    gains = [_matrix(text, n, len(C[l].rows[0]), f"data.centre.gain[{l}]") for l, text in enumerate(texts)]
-    return Centre(gains, _matrix(thing["tilt"], n, columns, "data.centre.tilt"))
 
 
 # -------------------- The command -----------------------------------------------------------------------------
@@ -1016,6 +1006,7 @@ def _line(finding: Finding) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
+    """Check the certificate that the command line names."""
     parser = argparse.ArgumentParser(description="Check a certificate in exact arithmetic.", epilog=exit_code.__doc__)
     parser.add_argument("certificate", help="the JSON file")
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
@@ -1023,6 +1014,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--largest", type=int, default=LARGEST_FILE, metavar="BYTES", help="refuse a larger file")
     options = parser.parse_args(arguments)
     watch = _watched if sys.stderr.isatty() and not (options.quiet or options.json) else unwatched
+    gc.disable()  # nothing here is cyclic, and a large certificate is millions of small objects
     try:
         findings = check(load(options.certificate, options.largest), watch)
     except Refused as refusal:
