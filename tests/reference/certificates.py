@@ -122,7 +122,9 @@ def random_data(
         "A": text(A),
         "process": {"B": text(B), "columns": n} if factors else {"Q": text(Q)},
         "C": [text(c) for c in C],
-        "noise": [{} if not len(d) else {"D": text(d)} if factors else {"R": text(r)} for d, r in zip(D, R, strict=True)],
+        "noise": [
+            {} if not len(d) else {"D": text(d)} if factors else {"R": text(r)} for d, r in zip(D, R, strict=True)
+        ],
         "directed": directed,
         "neighbours": neighbours,
         "weights": [text(w) for w in weights],
@@ -226,9 +228,7 @@ def stability_claim(
         for _ in range(2000):
             if method == "primal":
                 moved = [M @ x @ M.T / r**2 for M, x in zip(at.M, X, strict=True)]
-                image = [
-                    at.sigma[k] * sum(abs(at.W[l, k]) * moved[l] for l in range(N)) for k in range(N)
-                ]
+                image = [at.sigma[k] * sum(abs(at.W[l, k]) * moved[l] for l in range(N)) for k in range(N)]
             else:
                 image = [
                     at.M[l].T @ sum(at.sigma[k] * abs(at.W[l, k]) * X[k] for k in range(N)) @ at.M[l] / r**2
@@ -278,9 +278,7 @@ def stability_claim(
 
 def _slack(X: list[ndarray], image: list[ndarray]) -> float:
     """The largest delta with (1 - delta) X_k above its image, to rounding; the candidate is good if it is positive."""
-    return min(
-        1 - max(np.linalg.eigvals(np.linalg.solve(x, y)).real) for x, y in zip(X, image, strict=True)
-    )
+    return min(1 - max(np.linalg.eigvals(np.linalg.solve(x, y)).real) for x, y in zip(X, image, strict=True))
 
 
 def instability_claim(data: Document, method: str, *, of: str = "network", block: str = "network") -> Document:

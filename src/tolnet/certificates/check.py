@@ -16,6 +16,7 @@ import argparse
 import gc
 import json
 import math
+import re
 import sys
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
@@ -32,6 +33,7 @@ LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 WIDEST_RANGE = 1024  # bits that the numbers of one text may span
 LARGEST_MATRIX = 600  # rows of a matrix that speaks of all nodes at once
 MOST_WORK = 10**9  # multiplications that a claim may cost, roughly
+NUMERAL = re.compile(r"-?0x[01](\.[0-9a-f]{1,13})?p[+-][0-9]{1,4}")  # what float.hex writes of a finite double
 SMALL = 12  # rows up to which elimination decides definiteness
 
 
@@ -863,13 +865,12 @@ def _doubles(text: Any, count: int, where: str) -> list[float]:
     if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") != max(0, count - 1):
         raise Wrong(f"{where}: expected {count} hexadecimal numbers in a text")
     words = text.split(" ") if text else []
-    try:
-        values = list(map(float.fromhex, words))
-    except (ValueError, OverflowError):
-        raise Wrong(f"{where}: no hexadecimal number, or one that is no double") from None
-    if len(words) != count or list(map(float.hex, values)) != words or not all(map(math.isfinite, values)):
+    if len(words) != count or not all(map(NUMERAL.fullmatch, words)):
         raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
-    return values
+    try:
+        return list(map(float.fromhex, words))
+    except OverflowError:
+        raise Wrong(f"{where}: a number that is no double") from None
 
 
 def _matrix(text: Any, height: int, width: int, where: str) -> Matrix:

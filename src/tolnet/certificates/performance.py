@@ -23,7 +23,7 @@ from tolnet.certificates.stability import ExactNetwork, exact_network_matrix, pr
 from tolnet.certificates.verdicts import Proved, Undecided
 
 _BITS = 30
-_MOST = 700
+MOST = 700
 """Dimension (N + 1) n up to which the whole covariance is judged; it is part of the certificate."""
 CLAIM = "performance"
 
@@ -41,8 +41,8 @@ def prove_performance(
     """
     deployed = network.deployed
     d = (deployed.N + 1) * deployed.n
-    if d > _MOST:
-        reason = f"the whole covariance would be {d} x {d}; up to {_MOST} it is judged"
+    if d > MOST:
+        reason = f"the whole covariance would be {d} x {d}; up to {MOST} it is judged"
     elif deployed.centre is None:
         reason = "there is no least favourable model"
     elif Q is None or X is None or centre is None:

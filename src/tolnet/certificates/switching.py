@@ -52,6 +52,7 @@ def prove_link_losses(
     exact = Exact.of(short)
     if not exact.definite().all():
         return Undecided("switching", statement, "the candidate is not positive definite", keys=keys)
+    bad = 0
     for part in _TRIED:
         d = float(f"{part * max(margin, 0.0):.2e}")
         bad = _first_failure(_LossImages(network, exact, losses), exact, losses.node, d)

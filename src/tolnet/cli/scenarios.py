@@ -104,15 +104,12 @@ def _dropped(value: Any, key: str, deployed: Deployed) -> ndarray:
     """The entries of the links; both directions in an undirected network."""
     entries: list[int] = []
     index = _index(deployed)
-    pairs = value if isinstance(value, list) else [None]
-    for i, pair in enumerate(pairs):
-        good = isinstance(pair, list) and len(pair) == 2 and all(type(x) is int for x in pair)
-        directions = [tuple(pair)] if good else []
-        if good and not deployed.network.directed:
-            directions.append((pair[1], pair[0]))
-        if not good or pair[0] == pair[1] or any(each not in index for each in directions):
-            raise InputError([Complaint(f"{key}[{i}]", f"is {pair!r}; a link [l, k] of the graph was expected")])
-        entries += [index[each] for each in directions]
+    for i, pair in enumerate(value if isinstance(value, list) else [value]):
+        match pair:
+            case [int(l), int(k)] if l != k and (l, k) in index:
+                entries += [index[l, k]] if deployed.network.directed else [index[l, k], index[k, l]]
+            case _:
+                raise InputError([Complaint(f"{key}[{i}]", f"is {pair!r}; a link [l, k] of the graph was expected")])
     return np.unique(np.array(entries, dtype=np.int64))
 
 

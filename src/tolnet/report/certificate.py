@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tolnet.analysis.stability_candidates import Growth
     from tolnet.certificates.deployed import Deployed
     from tolnet.certificates.verdicts import Verdict
-    from tolnet.cli.evidence import Repaired
+    from tolnet.design.stabilise import StableWeights
     from tolnet.model import Ambiguity
 
 _STYLES = {"refuted": "bold red", "undecided": "yellow"}
@@ -35,9 +35,7 @@ def certificate_view(
     table = empty_table(["claim", "of", "verdict", "margin"], words=("claim", "of", "verdict"))
     for group in _groups(verdicts):
         for verdict, members in _by_verdict(group):
-            table.add_row(
-                members[0].claim, _subjects(members), verdict, _margin(members), style=_STYLES.get(verdict)
-            )
+            table.add_row(members[0].claim, _subjects(members), verdict, _margin(members), style=_STYLES.get(verdict))
     yield table
     for group in _groups(verdicts):
         yield from _words(group)
@@ -105,7 +103,9 @@ def _what_if(members: Sequence[Verdict]) -> str:
             worst = max(members, key=lambda verdict: float.fromhex(verdict.keys["rate"]))
             rate = float.fromhex(worst.keys["rate"])
             where = "the centre" if worst.node == "centre" else f"node {worst.node}"
-            return f" The slowest is {where}, {rate:.4g}; `tolnet table --limits` tells at which tolerance it reaches 1."
+            return (
+                f" The slowest is {where}, {rate:.4g}; `tolnet table --limits` tells at which tolerance it reaches 1."
+            )
         case "steady-state":
             error = max(float.fromhex(verdict.keys["gain_error"]) for verdict in members)
             return f" The deployed gains are within {error:.1e} (relative) of the exact ones."
@@ -117,7 +117,7 @@ def _what_if(members: Sequence[Verdict]) -> str:
 
 
 def instability_view(
-    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: Repaired | None
+    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: StableWeights | None
 ) -> Iterator[RenderableType]:
     """Which nodes carry the unstable mode, and which weights nearby are proved stable."""
     network = deployed.network
@@ -127,7 +127,7 @@ def instability_view(
         share = share / share.sum()
         order = np.argsort(-share, kind="stable")[:_NAMED_AT_MOST].tolist()
         carriers = ", ".join(f"{network.label(k)} ({100 * share[k]:.0f} %)" for k in order if share[k] >= 0.01)
-        yield f"The mode grows by a factor of {abs(found.eigenvalue):.4g} a step; the nodes that carry it: {carriers}."
+        yield f"The mode grows by a factor of {abs(found.eigenvalue):.4g} a step; these nodes carry it: {carriers}."
     if repaired is None:
         yield "No weights nearby were found that could be proved stable; --diffusion none keeps every node to itself."
         return
@@ -137,7 +137,7 @@ def instability_view(
     moved = np.abs(W - w).sum(axis=0) / 2
     changed = np.flatnonzero(moved > 1e-9).tolist()
     yield (
-        f"Weights nearby are proved stable, with a margin of {repaired.verdict.margin:.3g}: they differ by"
+        f"Weights nearby are proved stable, with a margin of {repaired.margin:.3g}: they differ by"
         f" {np.linalg.norm(W - w):.3g} in the Frobenius norm, at {len(changed)} of {deployed.N} nodes."
     )
     for k in changed[:_NAMED_AT_MOST]:
