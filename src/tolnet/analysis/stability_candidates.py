@@ -13,7 +13,7 @@ E is diagonal, in the units of the states.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,8 +24,11 @@ from tolnet.analysis.lyapunov_dense import solve_smith
 
 _DENSE_UP_TO = 1500
 """Unknowns up to which the linear equation is solved at once instead of iterated."""
+_DENSE_RADIUS_UP_TO = 400
 _MOST_STEPS = 3000
 _CHECK_EVERY = 8
+_GROWN = 1e15
+"""A sum of terms that is so much larger than the first has no limit that would prove anything."""
 _SHARE_UPDATES = 40
 
 Progress = Callable[[int, int], None]
@@ -98,6 +101,51 @@ def power_candidate(
     return PowerCandidate(found, power, sparse.csr_array((shares, l, reach.indptr), shape=(N, N)))
 
 
+class Alternatives(NamedTuple):
+    """Several forms of the dual condition of each node: its loop, and how the Y_k of its hearers are weighed."""
+
+    node: Int[ndarray, " K"]
+    """The node l of each form; every node has one at least."""
+    loops: Float[ndarray, "K n n"]
+    spread: sparse.csr_array
+    """(K, N): sigma_k |w_lk|."""
+
+
+def switching_candidate(
+    forms: Alternatives, N: int, progress: Progress | None = None
+) -> tuple[Float[ndarray, "N n n"], float] | None:
+    """One Y with Y_l - M' (sum_k sigma_k |w_lk| Y_k) M > 0 for every form of every node, and the margin; or None.
+
+    Y <- sup over the forms + E, where sup(X, Z) = X + (Z - X)_+ lies above both.
+    """
+    n = forms.loops.shape[1]
+    order = np.argsort(forms.node, kind="stable")
+    node, M, spread = forms.node[order], forms.loops[order], forms.spread[order]
+    starts = np.searchsorted(node, np.arange(N))
+    rank = np.arange(len(node)) - starts[node]
+
+    def images(Y: Float[ndarray, "N n n"]) -> Float[ndarray, "K n n"]:
+        return M.mT @ (spread @ Y.reshape(N, n * n)).reshape(-1, n, n) @ M
+
+    def image(Y: Float[ndarray, "N n n"]) -> Float[ndarray, "N n n"]:
+        each = images(Y)
+        top = each[starts]
+        for r in range(1, int(rank.max(initial=0)) + 1):
+            some = np.flatnonzero(rank == r)
+            k = node[some]
+            scale = np.sqrt(np.maximum(np.diagonal(Y[k], axis1=1, axis2=2), 1e-300))
+            outer = scale[:, :, None] * scale[:, None, :]
+            values, U = np.linalg.eigh((each[some] - top[k]) / outer)
+            top[k] += (U * np.maximum(values, 0.0)[:, None, :]) @ U.mT * outer
+        return top
+
+    Y = _fixed_point(image, N, n, progress, linear=False)
+    if Y is None:
+        return None
+    ratio = _largest_ratio(Y[node], images(Y))
+    return (Y, 1 - ratio) if ratio < 1 else None
+
+
 def full_candidate(F: Float[ndarray, "d d"], rate: float = 1.0) -> Float[ndarray, "d d"] | None:
     """X with rate^2 X - F X F' > 0 for a dense F, or None where rho(F) is not below the rate.
 
@@ -113,9 +161,12 @@ def full_candidate(F: Float[ndarray, "d d"], rate: float = 1.0) -> Float[ndarray
 
 
 class Growth(NamedTuple):
-    """X symmetric with f' X f - X > 0, v with v' X v > 0, and the eigenvalue that grows, with its vector."""
+    """X symmetric with f' X f - X > 0, v with v' X v > 0, and the eigenvalue that grows, with its vector.
 
-    X: Float[ndarray, "d d"]
+    X is None where the matrix is too large for one.
+    """
+
+    X: Float[ndarray, "d d"] | None
     v: Float[ndarray, " d"]
     eigenvalue: complex
     mode: ndarray
@@ -152,6 +203,54 @@ def network_matrix(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Floa
     return (mixing.toarray()[:, None, :, None] * M.swapaxes(0, 1)[None]).reshape(N * n, N * n)
 
 
+def network_radius(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> float:
+    """Spectral radius of the network block: dense eigenvalues when small, else Arnoldi's method; NaN where it fails."""
+    N, n, _ = M.shape
+    if N * n <= _DENSE_RADIUS_UP_TO:
+        return float(np.abs(np.linalg.eigvals(network_matrix(M, mixing))).max(initial=0.0))
+    found = _arnoldi(M, mixing)
+    return np.nan if found is None or not found.converged else abs(found.eigenvalue)
+
+
+def leading_mode(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Growth | None:
+    """The eigenvalue of the network block that grows fastest, with its vector; None where none was found to grow."""
+    found = _arnoldi(M, mixing)
+    if found is None or not abs(found.eigenvalue) > 1:
+        return None
+    return Growth(None, found.mode.real, found.eigenvalue, found.mode)
+
+
+class _Leading(NamedTuple):
+    """An eigenvalue of large modulus; the largest where all that were asked for converged."""
+
+    eigenvalue: complex
+    mode: ndarray
+    converged: bool
+
+
+def _arnoldi(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> _Leading | None:
+    """The eigenvalue of largest modulus that Arnoldi's method (ARPACK) finds, and its vector."""
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+    N, n, _ = M.shape
+
+    def step(v: ndarray) -> ndarray:
+        return np.asarray(mixing @ (M @ v.reshape(N, n, 1)).reshape(N, n)).ravel()
+
+    kind: Any = LinearOperator
+    operator = kind(shape=(N * n, N * n), matvec=step, dtype=np.float64)
+    start = np.random.default_rng(3).normal(size=N * n)
+    try:
+        values, vectors = eigs(operator, k=4, v0=start, ncv=40, maxiter=500)
+        converged = True
+    except ArpackNoConvergence as stopped:
+        values, vectors, converged = stopped.eigenvalues, stopped.eigenvectors, False
+    if not len(values):
+        return None
+    largest = int(np.argmax(np.abs(values)))
+    return _Leading(complex(values[largest]), vectors[:, largest], converged)
+
+
 def _units(F: Float[ndarray, "d d"]) -> Float[ndarray, " d"]:
     """Powers of two that balance F: F_ij u_j / u_i is of one size."""
     from scipy.linalg import matrix_balance
@@ -161,7 +260,7 @@ def _units(F: Float[ndarray, "d d"]) -> Float[ndarray, " d"]:
 
 
 def _fixed_point(
-    image: Callable[[ndarray], ndarray], N: int, n: int, progress: Progress | None
+    image: Callable[[ndarray], ndarray], N: int, n: int, progress: Progress | None, *, linear: bool = True
 ) -> Float[ndarray, "N n n"] | None:
     """X = T(X) + E for a positive T: the sum of T^j(E), or None where it does not converge."""
     X = np.broadcast_to(np.eye(n), (N, n, n)).copy()
@@ -172,18 +271,20 @@ def _fixed_point(
         return None
     unit = np.sqrt(np.maximum(np.diagonal(X, axis1=1, axis2=2).mean(axis=0), 1e-300))
     E = np.broadcast_to(np.diag(unit**2), (N, n, n))
-    if N * n * n <= _DENSE_UP_TO:
+    if linear and N * n * n <= _DENSE_UP_TO:
         return _solved(image, E, unit)
     X = E.copy()
     for step in range(_MOST_STEPS):
         following = image(X) + E
+        if not np.abs(following / E.max()).max() < _GROWN:
+            return None
         if step % _CHECK_EVERY == _CHECK_EVERY - 1:
             ratio = _largest_ratio(X, following - E)
             if not np.isfinite(ratio):
                 return None
-            growth = np.abs(following - X).max(axis=0) / unit[:, None] / unit
-            if ratio < 1 and (settled := growth.max() < 0.05 * np.abs(X / unit[:, None] / unit).max()):
-                return following if settled else None
+            growth = (np.abs(following - X).max(axis=0) / unit[:, None] / unit).max()
+            if ratio < 1 and growth < 0.05 * (np.abs(X).max(axis=0) / unit[:, None] / unit).max():
+                return following
             if progress is not None:
                 progress(step + 1, _MOST_STEPS)
         X = (following + following.mT) / 2

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -52,6 +52,10 @@ class Sensor:
     C: Float[ndarray, "p n"]
     noise: Covariance
     _prepared: dict[int, tuple[BallMatrix, BallMatrix]] = field(default_factory=dict, init=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was prepared: balls do not travel between processes."""
+        return {"C": self.C, "noise": self.noise, "_prepared": {}}
 
     def balls(self) -> tuple[BallMatrix, BallMatrix]:
         """C' R^-1 and C' R^-1 C. Raises ZeroDivisionError where R was not shown to be positive definite."""

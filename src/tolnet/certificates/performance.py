@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from numpy import ndarray
 
+from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
 from tolnet.certificates.stability import ExactNetwork, exact_network_matrix, process_covariance
@@ -133,10 +134,7 @@ class _Enclosure:
             "delta": number_text(self.delta),
             "share": number_text(self.share),
         }
-        statement = (
-            "Under the stated least favourable model the mean square deviation of the network lies in"
-            f" [{low!r}, {high!r}], and that of every node in its interval."
-        )
+        statement = statements.performance(low, high)
         return Proved(CLAIM, statement, proof, keys={"nodes": nodes, "centre": centre, "network": mean})
 
 

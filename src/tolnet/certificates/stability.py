@@ -23,6 +23,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy import sparse
 
+from tolnet.certificates import statements
 from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.exact import Exact, segment_sums
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
@@ -37,7 +38,6 @@ _SHORT, _LONG = 24, 46
 _KEPT = 0.999
 """Part of the margin that is claimed of what floating point finds."""
 _NODES_AT_A_TIME = 5_000
-BLOCKS = {"F": "the network's error dynamics F", "network": "the network block of the error dynamics"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +145,10 @@ def prove_stability(
     deployed = network.deployed
     block = "network" if deployed.centre is None else "F"
     claim, keys = "schur-stability", {"block": block}
-    statement = f"Every eigenvalue of {BLOCKS[block]} lies inside the unit circle: errors die out."
+    statement = statements.stability(block)
     if rate is not None:
         claim, keys = "decay-rate", {"block": block, "rate": number_text(rate)}
-        statement = f"Every eigenvalue of {BLOCKS[block]} lies inside the circle of radius {rate!r}."
+        statement = statements.decay_rate(block, rate)
     reason = ""
     for bits in (_SHORT, _LONG):
         attempt = _Attempt(network, candidate, 1.0 if rate is None else rate, bits)
@@ -325,8 +325,7 @@ def refute_stability(
     Source: docs/certificate.md, `schur-stability`; docs/mathematics.md, section 11.
     """
     block = "network" if network.deployed.centre is None else "F"
-    who = {"network": BLOCKS["network"], "centre": "the least favourable block of the error dynamics"}[of]
-    statement = f"Some eigenvalue of {who} lies outside the unit circle: errors grow."
+    statement = statements.instability(of)
     F = exact_network_matrix(network) if of == "network" else network.centre_loops[1]
     for bits in (_SHORT, _LONG):
         short, direction = shortened_indefinite(X, bits), _shortened_vector(v, bits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -148,6 +149,19 @@ class SensorNetwork:
             return cls(**arguments_of_mat(data))
         except InputError as error:
             raise type(error)(error.complaints, source=str(path)) from None
+
+    def with_diffusion(self, W: Any) -> SensorNetwork:
+        """The same network with the weights W (N, N), or with the rule of that name; it comes from no file.
+
+        Raises InputError where W is not admissible on the graph, eq. (11).
+        """
+        complaints = Complaints()
+        diffusion = parse_diffusion(W, self.adjacency, complaints)
+        complaints.raise_if_any()
+        changed = copy.copy(self)
+        object.__setattr__(changed, "diffusion", diffusion)
+        object.__setattr__(changed, "digest", None)
+        return changed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Copies and unpickled networks are as read-only as the first."""
