@@ -5,7 +5,8 @@ With kappa - 1 - log kappa >= c, T_0(P) = A (P^-1 + S)^-1 A' + Q and T_+(P) = A 
 
 1.  0 < L < T_0(L) and U > T_+(U) > 0 put every orbit eventually between L and U, from every V_0 > 0.
 2.  gamma rises with P, so theta(U) <= theta_t <= theta(L) from then on, and P_{t+1} lies eventually between
-    T(L, theta(U)) and T(U, theta(L)), or T_+(U) where theta(L) U < I does not hold. Repeat.
+    T(L, theta(U)) and T(U, theta(L)), or T_+(U) where theta(L) U < I does not hold. Repeat. (With one state,
+    V = kappa P exactly, and P_{t+1} lies between T_+(L) and T_+(U).)
 3.  Once [L, U] lies in the region, so does every orbit.
 """
 
@@ -152,6 +153,8 @@ def _bracket(
         return NotProved("0 < L < T_0(L) was not shown")
     if not balls.is_positive(U - _push(equations, U, kappa)):
         return NotProved("U > T_+(U) was not shown")
+    if equations.n == 1:
+        return _scalar_bracket(equations, c, L, U, steps)
     for j in range(steps):
         least, most = enclose_theta(equations, U, c), enclose_theta(equations, L, c)
         if isinstance(least, NotProved) or isinstance(most, NotProved):
@@ -166,6 +169,19 @@ def _bracket(
         U = _rounded(above, 1)
         if not balls.is_positive(L):
             return NotProved(f"step {j + 1} of the bracket: its lower end was not shown to be positive definite")
+    return L, U
+
+
+def _scalar_bracket(
+    equations: Equations, c: float, L: BallMatrix, U: BallMatrix, steps: int
+) -> tuple[BallMatrix, BallMatrix] | NotProved:
+    """The same for one state, where V = kappa P for the root kappa itself, and theta is not needed."""
+    above = balls.ball(_factor(c))
+    below = (above * (1 - balls.ball(2) ** -35)).mid() if c else above
+    if not (below >= 1 and (c == 0 or below - 1 - below.log() <= equations.c)):
+        return NotProved("the factor kappa of the tolerance was not enclosed")
+    for _ in range(steps):
+        L, U = _rounded(_push(equations, L, below), -1), _rounded(_push(equations, U, above), 1)
     return L, U
 
 
@@ -266,8 +282,10 @@ class _Floating:
 
     def next(self, L: ndarray, U: ndarray) -> tuple[ndarray, ndarray]:
         """The bracket one step on."""
-        least, most = approximate_theta(U, self.c), approximate_theta(L, self.c)
         above = self._push(self.kappa * U, 0.0)
+        if len(L) == 1:
+            return self._push(self.kappa * L, 0.0), above
+        least, most = approximate_theta(U, self.c), approximate_theta(L, self.c)
         if most * float(np.linalg.eigvalsh(U)[-1]) < 1:
             by_theta = self._push(U, most)
             above = by_theta if np.trace(by_theta) < np.trace(above) else above

@@ -30,7 +30,10 @@ MOST_STATES = 30
 """The derivative is a matrix of n (n + 1) / 2 rows."""
 _NEWTON_STEPS = 12
 _PRECISIONS = (balls.BITS, 2 * balls.BITS, 6 * balls.BITS)
-_REFINEMENTS = 2
+_MOST_REFINEMENTS = 8
+_TIGHT = 2.0**-128
+"""Relative radius at which an enclosure serves formulas in which half of the digits cancel; for large c, where
+(I - theta P)^-1 is as large as c and enters several times, less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +201,10 @@ def _enclose(exact: ExactFilter, box: Box) -> Enclosure | NotProved:
     image = test.image(radii, B)
     if not all(r.contains_interior(x) for r, x in zip(radii.entries(), image.entries(), strict=True)):
         return NotProved(f"Krawczyk's test fails on the box of relative radius {box.radius:.1e}")
-    for _ in range(_REFINEMENTS):
+    tight = _TIGHT / max(1.0, exact.c) ** 3
+    for _ in range(_MOST_REFINEMENTS):
+        if balls.row_sum_norm(balls.column([x.rad() for x in image.entries()])) < tight:
+            break
         tighter = test.image(image, B)
         image = balls.column([x.intersection(y) for x, y in zip(image.entries(), tighter.entries(), strict=True)])
     P, theta = test.moved(P, theta, image)
