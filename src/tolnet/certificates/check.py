@@ -30,7 +30,7 @@ SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
 LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 WIDEST_RANGE = 1024  # bits that the numbers of one text may span
-LARGEST_MATRIX = 600  # rows of a matrix that speaks of all nodes at once
+LARGEST_MATRIX = 800  # rows of a matrix that speaks of all nodes at once
 MOST_WORK = 10**9  # multiplications that a claim may cost, roughly
 SMALL = 12  # rows up to which elimination decides definiteness
 
