@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from tests.certificates.examples import certificate, certificates
 from tests.reference.certificate_truth import is_true
+
 from tolnet.certificates import check as checker
 from tolnet.certificates.check import check, exit_code, load
 

@@ -11,6 +11,7 @@ from tests.certificates.examples import certificate
 from tests.reference import certificates as maker
 from tests.reference.certificate_truth import mean_square_deviations, radius_is_below, symmetric
 from tests.reference.certificates import BLOCKS, Document, Numbers, document, scalar_data, text, triangle
+
 from tolnet.certificates.check import Matrix, check, is_positive_definite
 
 TINY = 2.0**-50
