@@ -30,7 +30,7 @@ _TRIED = (0.9, 0.5, 0.1, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A state of the network: the entries (k hears l) whose links dropped, or other weights, or other gains."""
+    """A state of the network: the entries (k hears l) whose links dropped; or other weights, other gains, or both."""
 
     dropped: Int[ndarray, " m"] | None = None
     weights: Float[ndarray, " L"] | None = None

@@ -117,7 +117,8 @@ def certify(
             write(path, certificate_json(opening, data, verdicts))
     if json:
         console.document(certificate_json(opening, data, verdicts))
-    console.show(*certificate_view(subject.deployed, subject.ambiguity, verdicts, _published(subject, verdicts)))
+    bounds = _published(subject, verdicts), _largest(subject, wanted, console)
+    console.show(*certificate_view(subject.deployed, subject.ambiguity, verdicts, *bounds))
     written = list(outputs)
     if _unstable(verdicts):
         written += _advise(subject, stable_weights, console)
@@ -316,6 +317,19 @@ def _published(subject: Subject, verdicts: Sequence[Verdict]) -> float | None:
     network = subject.network
     S = network.total_information[None]
     return float(analysis.published_bound(network.A, network.Q, S, 2 * network.n)[0])
+
+
+def _largest(subject: Subject, wanted: Sequence[str], console: Console) -> float | None:
+    """The largest c for which the centre is proved to converge from every start, where that was asked for."""
+    from tolnet.certificates.balls import NotProved
+    from tolnet.certificates.bracket import largest_tolerance_for_all
+    from tolnet.certificates.filter_claims import ExactFilters
+
+    if "convergence-all" not in wanted or console.json or console.quiet:
+        return None
+    with console.progress("largest tolerance"):
+        found = largest_tolerance_for_all(ExactFilters(subject.deployed).filter("centre", 0.0))
+    return None if isinstance(found, NotProved) else float.fromhex(found["c"])
 
 
 def _unstable(verdicts: Sequence[Verdict]) -> bool:

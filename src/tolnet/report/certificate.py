@@ -23,9 +23,17 @@ _NAMED_AT_MOST = 5
 
 
 def certificate_view(
-    deployed: Deployed, ambiguity: Ambiguity, verdicts: Sequence[Verdict], published: float | None
+    deployed: Deployed,
+    ambiguity: Ambiguity,
+    verdicts: Sequence[Verdict],
+    published: float | None,
+    largest: float | None = None,
 ) -> Iterator[RenderableType]:
-    """The claims side by side, then each in words."""
+    """The claims side by side, then each in words.
+
+    `published` is the published bound on c of the centre, `largest` the largest c for which it was proved to converge
+    from every start; both on the gamma scale, where they are to be told.
+    """
     network = deployed.network
     nodes = f"{network.N:,} node{'' if network.N == 1 else 's'}"
     yield (
@@ -39,6 +47,11 @@ def certificate_view(
     yield table
     for group in _groups(verdicts):
         yield from _words(group)
+    if largest is not None:
+        yield (
+            "- The largest tolerance for which the centre was proved to converge from every start is"
+            f" {largest:.3g} (gamma)."
+        )
     if published is not None:
         covers = "covers" if published >= ambiguity.gamma else "does not cover"
         yield (
@@ -82,6 +95,10 @@ def _words(group: Sequence[Verdict]) -> Iterator[str]:
     """One claim in words, worst first."""
     for word, members in _by_verdict(group):
         first = members[0]
+        if first.node is None and len(members) > 1:
+            for member in members:
+                yield from _words([member])
+            continue
         more = f" (and {len(members) - 1:,} more)" if len(members) > 1 else ""
         match word:
             case "proved":
