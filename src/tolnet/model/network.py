@@ -329,6 +329,6 @@ def _parse_network(
         "directed": directed,
         "adjacency": graph,
         "positions": positions,
-        "names": checks.labels(names, N, "network.names", f"there are {N} nodes", complaints),
-        "diffusion": parse_diffusion(diffusion, graph, complaints),
+        "names": checks.labels(names, N, "network.names", checks.there_are(N, "node"), complaints),
+        "diffusion": parse_diffusion(diffusion, graph, N, complaints),
     }
