@@ -138,12 +138,13 @@ def is_positive(M: BallMatrix) -> bool:
     if not all(M[i, i] > 0 for i in range(n)):
         return False
     middle = midpoints(M)
-    scale = np.sqrt(np.maximum(np.diag(middle), np.finfo(float).tiny))
-    try:
-        factor = np.linalg.cholesky(middle / scale[:, None] / scale)
-        X = np.linalg.inv(factor) / scale
-    except np.linalg.LinAlgError:
-        return _cholesky_succeeds(M)
+    with np.errstate(all="ignore"):
+        scale = np.sqrt(np.maximum(np.diag(middle), np.finfo(float).tiny))
+        try:
+            factor = np.linalg.cholesky(middle / scale[:, None] / scale)
+            X = np.linalg.inv(factor) / scale
+        except np.linalg.LinAlgError:
+            return _cholesky_succeeds(M)
     if np.isfinite(X).all() and _is_dominant(congruence(matrix(X), M)):
         return True
     return _cholesky_succeeds(M)

@@ -26,7 +26,7 @@ from tolnet.certificates.convergence import Region, find_region
 from tolnet.certificates.exact_filter import Covariance, Equations, ExactFilter
 from tolnet.certificates.fixed_point import Box, enclose, find_box
 from tolnet.certificates.numerals import number_text, symmetric_matrix, symmetric_text
-from tolnet.certificates.recursion import approximate_theta, enclose_theta
+from tolnet.certificates.recursion import approximate_excess, approximate_theta, enclose_theta
 
 MOST_STEPS = 5000
 _DOUBLINGS = 60
@@ -234,8 +234,7 @@ def _factor(c: float) -> float:
     """A double a hair above the root kappa > 1 of kappa - 1 - log kappa = c; 1 for c = 0."""
     if c == 0:
         return 1.0
-    mu = approximate_theta(np.eye(1), c)
-    return float((1 + mu / (1 - mu)) * (1 + 1e-12) + 1e-15) if mu < 1 else float("inf")
+    return float((1 + approximate_excess(np.ones(1), c)[0]) * (1 + 1e-12))
 
 
 def _riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], S: Float[ndarray, "n n"]) -> ndarray | None:
@@ -274,6 +273,9 @@ def _spread(A: Float[ndarray, "n n"], S: Float[ndarray, "n n"], P: Float[ndarray
     return (D + D.T) / 2 * min(margin, 0.5 / size)
 
 
+_Closed = tuple[ndarray, int]
+
+
 class _Floating:
     """The bracket in floating point, to look ahead."""
 
@@ -300,6 +302,15 @@ class _Floating:
         self, L: ndarray, U: ndarray, region: Region | None, centre: ndarray
     ) -> tuple[ndarray, int] | NotProved:
         """The middle and the number of steps once the bracket has closed, or lies well inside a region."""
+        try:
+            with np.errstate(all="ignore"):
+                return self._close(L, U, region, centre)
+        except np.linalg.LinAlgError:
+            return NotProved("the bracket has no numbers in floating point")
+
+    def _close(
+        self, L: ndarray, U: ndarray, region: Region | None, centre: ndarray
+    ) -> tuple[ndarray, int] | NotProved:
         before = np.inf
         for steps in range(MOST_STEPS):
             gap = float(np.trace(U - L) / np.trace(U))
@@ -313,7 +324,7 @@ class _Floating:
                 before = gap
             L, U = self.next(L, U)
             if not (np.isfinite(L).all() and np.isfinite(U).all()):
-                break
+                return NotProved("the bracket has no numbers in floating point")
         least, most = approximate_theta(U, self.c), approximate_theta(L, self.c)
         return NotProved(f"the bracket does not close: theta stays between {least:.4g} and {most:.4g}")
 

@@ -7,6 +7,8 @@ rate |P - P*|_Y: from there the filter converges, by that factor a step. docs/ma
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +28,12 @@ from tolnet.certificates.exact_filter import (
 )
 from tolnet.certificates.fixed_point import Box, Enclosure, enclose
 from tolnet.certificates.numerals import number_text, symmetric_matrix, symmetric_text
-from tolnet.certificates.recursion import approximate_step, first_covariance, step
+from tolnet.certificates.recursion import first_covariance, step
 
 MOST_STEPS = 5000
-MOST_BITS = 2**14
+MOST_BITS = 2**12
+MOST_WORK = 2**21
+"""Steps times bits of an orbit."""
 _HALVINGS = 40
 _SHARE = 0.8
 """Of the way from the radius of J to 1: where the Lyapunov matrix is taken; the region is largest there."""
@@ -130,7 +134,7 @@ def find_region(at: Enclosure) -> Region | NotProved:
         J = balls.midpoints(equations.derivative(equations.at(X, at.theta), weights).of_the_recursion())
         seen = balls.midpoints(congruence_matrix(back, weights))
     except (ZeroDivisionError, np.linalg.LinAlgError):
-        return NotProved("the steady state is too near singular to measure distances from it")
+        return NotProved("the steady state is too near singular for a region around it to be found")
     own = spectral_radius(J)
     if not own < 1:
         return NotProved(f"the spectral radius of the derivative is about {own:.6g}")
@@ -139,7 +143,8 @@ def find_region(at: Enclosure) -> Region | NotProved:
     if Y is None:
         return NotProved("no Lyapunov matrix was found for the derivative")
     Y = Y / s / s[:, None]
-    radius = 0.5 / float(np.sqrt(np.diag(np.linalg.inv(Y)).max()))
+    # In units in which X* = I, entries may move by a half: |D_i| <= radius sqrt((Y^-1)_ii), and Y >= diag(s)^-2.
+    radius = 0.5 / float(s.max())
     Y = seen.T @ Y @ seen
     for _ in range(_HALVINGS):
         region = Region((Y + Y.T) / 2, 1 - _LEFT * (1 - own), radius)
@@ -158,43 +163,46 @@ def prove_convergence(exact: ExactFilter, box: Box, start: Float[ndarray, "n n"]
         region = find_region(found)
     if isinstance(region, NotProved):
         return region
-    steps = _steps_ahead(exact, found, region, start)
-    if steps is None:
-        return NotProved(f"in floating point the recursion does not reach the steady state in {MOST_STEPS} steps")
-    bits = balls.BITS
+    reason, bits = "", balls.BITS
     while bits <= MOST_BITS:
-        keys = {
-            "c": number_text(exact.c),
-            "start": symmetric_text(start),
-            "proof": {"box": box.text(), **region.text(), "steps": steps, "bits": bits},
-        }
-        reason = verify_convergence(exact, keys)
-        if reason is None:
-            return keys
-        bits *= 2
-    return NotProved(f"{reason} with {MOST_BITS} bits")
+        with balls.working_precision(bits):
+            arrived = _arrival(exact, found, region, start, MOST_WORK // bits)
+        if not isinstance(arrived, NotProved):
+            break
+        reason, bits = arrived.reason, 2 * bits
+    else:
+        return NotProved(reason)
+    keys = {
+        "c": number_text(exact.c),
+        "start": symmetric_text(start),
+        "proof": {"box": box.text(), **region.text(), "steps": arrived, "bits": bits},
+    }
+    complaint = verify_convergence(exact, keys)
+    return keys if complaint is None else NotProved(complaint)
 
 
-def _steps_ahead(exact: ExactFilter, at: Enclosure, region: Region, start: Float[ndarray, "n n"]) -> int | None:
-    """After how many steps the orbit in floating point is well inside the region."""
-    equations, centre = at.equations, balls.midpoints(at.P)
-    A, Q, S = (balls.midpoints(M) for M in (equations.A, equations.Q, equations.S))
-    P = A @ np.linalg.solve(np.eye(len(A)) + start @ S, start) @ A.T + Q
-    for steps in range(1, MOST_STEPS + 1):
-        if region.distance(P, centre) <= 0.99 * region.radius:
-            return steps
-        P = approximate_step(A, Q, S, (P + P.T) / 2, exact.c)
-        if not np.isfinite(P).all():
-            return None
-    return None
+def _arrival(
+    exact: ExactFilter, at: Enclosure, region: Region, start: Float[ndarray, "n n"], most: int
+) -> int | NotProved:
+    """The first step at which the orbit from V_0 was shown to be in the region."""
+    centre = balls.midpoints(at.P)
+    try:
+        for steps, P in zip(range(1, min(most, MOST_STEPS) + 1), _orbit(exact, start), strict=False):
+            if isinstance(P, NotProved):
+                return NotProved(f"step {steps - 1} of the orbit: {P.reason}")
+            if region.distance(balls.midpoints(P), centre) <= 2 * region.radius and region.holds(at, P):
+                return steps
+    except ZeroDivisionError:
+        return NotProved("the orbit was not enclosed: a matrix that must be inverted may be singular")
+    return NotProved("followed as far as is tried, the orbit had not reached the region around the steady state")
 
 
 def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
     """Why a `convergence` claim does not hold as far as can be shown; None where it does."""
     proof, start = claim["proof"], symmetric_matrix(claim["start"])
     steps, bits = proof["steps"], proof["bits"]
-    if not (1 <= steps <= MOST_STEPS and 64 <= bits <= MOST_BITS):
-        return f"more than {MOST_STEPS} steps or {MOST_BITS} bits, or none, are not tried"
+    if not (1 <= steps <= MOST_STEPS and 64 <= bits <= MOST_BITS and steps * bits <= MOST_WORK):
+        return "so many steps or bits are not tried"
     if start.shape != exact.A.shape or not np.isfinite(start).all():
         return f"the start is no finite symmetric {len(exact.A)} x {len(exact.A)} matrix"
     found = enclose(exact, Box.read(proof["box"]))
@@ -207,26 +215,26 @@ def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
         return complaint
     with balls.working_precision(bits):
         try:
-            end = _orbit(exact, start, steps)
+            end = NotProved("the orbit was not enclosed")
+            for end in itertools.islice(_orbit(exact, start), steps):
+                if isinstance(end, NotProved):
+                    return end.reason
         except ZeroDivisionError:
             return "the orbit was not enclosed: a matrix that must be inverted may be singular"
-        if isinstance(end, NotProved):
-            return end.reason
-        if not region.holds(found, end):
+        if isinstance(end, NotProved) or not region.holds(found, end):
             return f"the orbit was not shown to be in the region after {steps} steps"
     return None
 
 
-def _orbit(exact: ExactFilter, start: Float[ndarray, "n n"], steps: int) -> BallMatrix | NotProved:
-    """P_steps from V_0 > 0."""
+def _orbit(exact: ExactFilter, start: Float[ndarray, "n n"]) -> Iterator[BallMatrix | NotProved]:
+    """P_1, P_2, ... from V_0 > 0, in balls of the working precision, until one cannot be enclosed."""
     V = balls.matrix(start)
     if not balls.is_positive(V):
-        return NotProved("the start was not shown to be positive definite")
+        yield NotProved("the start was not shown to be positive definite")
+        return
     equations = exact.equations()
-    P = first_covariance(equations, V)
-    for t in range(1, steps):
-        following = step(equations, P, exact.c)
-        if isinstance(following, NotProved):
-            return NotProved(f"step {t} of the orbit: {following.reason}")
-        P = following
-    return P
+    P: BallMatrix | NotProved = first_covariance(equations, V)
+    while not isinstance(P, NotProved):
+        yield P
+        P = step(equations, P, exact.c)
+    yield P

@@ -1,4 +1,4 @@
-"""The covariance recursion, step by step: in floating point to look ahead, and in balls to prove.
+"""The covariance recursion, step by step, in balls.
 
 theta_t is enclosed by one step of the interval Newton method on gamma(P, theta) = c: with dgamma/dtheta =
 theta tr((HP)^2) over an interval X around an approximate root t, t - (gamma(P, t) - c) / dgamma/dtheta inside X
@@ -18,16 +18,16 @@ from tolnet.certificates.exact_filter import Equations, Point
 _NEWTON_STEPS = 100
 
 
-def approximate_theta(P: Float[ndarray, "n n"], c: float) -> float:
-    """theta with gamma(P, theta) = c in floating point, by Newton's method on the largest excess; NaN if none.
+def approximate_excess(eigenvalues: Float[ndarray, " n"], c: float) -> Float[ndarray, " n"]:
+    """mu_i = v_i / lambda_i - 1 of V with gamma(P, theta) = c, in floating point; NaN where there is none.
 
-    mu_i = r_i mu / (1 + (1 - r_i) mu) with r_i = lambda_i / lambda_1 (docs/mathematics.md, (2.3)).
+    Newton's method on the largest, mu: mu_i = r_i mu / (1 + (1 - r_i) mu), r_i = lambda_i / lambda_1
+    (docs/mathematics.md, (2.3)). Assumes rising order.
     """
+    if not eigenvalues[-1] > 0 or not np.isfinite(eigenvalues).all():
+        return np.full_like(eigenvalues, 0.0 if c == 0 else np.nan)
     if c == 0:
-        return 0.0
-    eigenvalues = np.linalg.eigvalsh(P)
-    if not eigenvalues[-1] > 0:
-        return np.nan
+        return np.zeros_like(eigenvalues)
     r = np.maximum(eigenvalues / eigenvalues[-1], 0.0)
     mu = np.sqrt(2 * c / (r @ r)) + c / len(r)
     for _ in range(_NEWTON_STEPS):
@@ -35,27 +35,26 @@ def approximate_theta(P: Float[ndarray, "n n"], c: float) -> float:
         excess = r * mu / below
         value = _divergence(excess).sum()
         slope = (excess / (1 + excess) * r / below**2).sum() * mu
-        step = np.log(value / c) * value / slope
-        mu *= np.exp(-np.clip(step, -5, 5))
-        if abs(step) < 1e-13:
+        move = np.log(value / c) * value / slope
+        mu *= np.exp(-np.clip(move, -5, 5))
+        if abs(move) < 1e-13:
             break
-    return float(mu / (1 + mu) / eigenvalues[-1])
+    return r * mu / (1 + (1 - r) * mu)
+
+
+def approximate_theta(P: Float[ndarray, "n n"], c: float) -> float:
+    """theta with gamma(P, theta) = c in floating point; NaN where there is none."""
+    if not np.isfinite(P).all():
+        return np.nan
+    eigenvalues = np.linalg.eigvalsh(P)
+    mu = float(approximate_excess(eigenvalues, c)[-1])
+    return 0.0 if c == 0 else mu / (1 + mu) / float(eigenvalues[-1])
 
 
 def _divergence(excess: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
     """mu - log(1 + mu), by its series where that would cancel."""
     series = excess**2 * (0.5 - excess * (1 / 3 - excess * (0.25 - excess * 0.2)))
     return np.where(excess < 1e-3, series, excess - np.log1p(excess))
-
-
-def approximate_step(
-    A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], S: Float[ndarray, "n n"], P: Float[ndarray, "n n"], c: float
-) -> Float[ndarray, "n n"]:
-    """P_{t+1} from P_t in floating point."""
-    n = len(A)
-    V = np.linalg.solve(np.eye(n) - approximate_theta(P, c) * P, P)
-    following = A @ np.linalg.solve(np.eye(n) + V @ S, V) @ A.T + Q
-    return (following + following.T) / 2
 
 
 def first_covariance(equations: Equations, V: BallMatrix) -> BallMatrix:
