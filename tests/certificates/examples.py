@@ -40,6 +40,7 @@ def certificates() -> dict[str, Document]:
         for method, data in (("primal", signed), ("dual", relayed), ("power", signed), ("full", directed))
     }
     drops = {"drop": [[0, 1]]}
+    swapped = calm["gains"][::-1]
     turned = [text(np.roll([float.fromhex(w) for w in row.split()], 1)) for row in calm["weights"]]
     found |= {
         "performance": document(network, maker.performance_claim(network)),
@@ -53,7 +54,7 @@ def certificates() -> dict[str, Document]:
             calm,
             maker.switching_claim(
                 calm,
-                scenarios=[drops, {"drop": [[0, 1], [1, 2]]}, {"weights": turned}, {"gains": calm["gains"][::-1]}, {}],
+                scenarios=[drops, {"drop": [[0, 1], [1, 2]]}, {"weights": turned}, {"gains": swapped}, {}],
             ),
         ),
         "scenarios, directed": document(

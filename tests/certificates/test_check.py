@@ -1,4 +1,4 @@
-"""The stand-alone checker accepts what is proved: every method, every kind of network, as a library and as a process."""
+"""The stand-alone checker accepts what is proved: every method, as a library and as a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is what a claim says true? Decided without its proof where that can be, in doubles far from a boundary, exactly near it.
+"""Is what a claim says true? Decided without its proof where that can be: in doubles, and exactly near a boundary.
 
 Independent of the checker and of the prover: dense matrices, eigenvalues, every set of links written out.
 """
@@ -63,7 +63,7 @@ def _mpf(x: Fraction | int) -> Any:
 
 
 def is_definite(S: ndarray) -> bool:
-    """Whether the symmetric matrix of fractions is positive definite: by elimination in fractions where it is close."""
+    """Whether the symmetric matrix of fractions is positive definite: by exact elimination where it is close."""
     assert (S == S.T).all()
     eigenvalues = np.linalg.eigvalsh(S.astype(float))
     if abs(eigenvalues[0]) > 1e-9 * abs(eigenvalues).max():
@@ -123,7 +123,7 @@ def without(at: Numbers, links: Any) -> ndarray:
 
 
 def mean_square_deviations(at: Numbers) -> list[Fraction]:
-    """The traces of the diagonal blocks of Q = F Q F' + G G', far beyond double precision: refined with exact residuals."""
+    """The traces of the diagonal blocks of Q = F Q F' + G G', refined with exact residuals far beyond a double."""
     F, noise, _ = at.whole()
     rounded = F.astype(float)
     Q = np.full(F.shape, Fraction(0), dtype=object)

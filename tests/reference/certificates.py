@@ -311,7 +311,7 @@ def stability_claim(
 
 
 def _slack(X: list[ndarray], image: list[ndarray]) -> float:
-    """The largest delta with (1 - delta) X_k above its image, to rounding; the candidate is good if it is positive."""
+    """The largest delta with (1 - delta) X_k above its image, to rounding."""
     return min(1 - max(np.linalg.eigvals(np.linalg.solve(x, y)).real) for x, y in zip(X, image, strict=True))
 
 

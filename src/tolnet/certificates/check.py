@@ -795,13 +795,15 @@ def check(document: Any, watch: Watch = unwatched) -> list[Finding]:
 
 def load(path: str, largest: int = LARGEST_FILE) -> Any:
     """The JSON document in a file; Refused where it is too large, nested too deeply, or no plain JSON."""
+    content = bytearray()
     try:
         with open(path, "rb") as file:  # noqa: PTH123
-            content = file.read(largest + 1)
+            while part := file.read(2**20):
+                content += part
+                if len(content) > largest:
+                    raise Refused(f"{path}: larger than {largest} bytes")
     except OSError as error:
         raise Refused(f"{path}: {error.strerror}") from None
-    if len(content) > largest:
-        raise Refused(f"{path}: larger than {largest} bytes")
     try:
         return json.loads(
             content.decode(),
@@ -1018,8 +1020,8 @@ def main(arguments: list[str] | None = None) -> int:
     gc.disable()  # nothing here is cyclic, and a large certificate is millions of small objects
     try:
         findings = check(load(options.certificate, options.largest), watch)
-    except Refused as refusal:
-        print(ascii(f"{refusal}")[1:-1], file=sys.stderr)
+    except (Refused, MemoryError) as refusal:
+        print(ascii(str(refusal) or "out of memory")[1:-1], file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
