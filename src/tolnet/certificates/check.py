@@ -222,7 +222,7 @@ def _guess(rows: list[list[int]]) -> list[list[int]] | None:
     G = [[0] * size for _ in range(size)]
     for j, column in enumerate(inverse):
         for i, x in enumerate(column, start=j):
-            if not math.isfinite(x):
+            if not abs(x) < 2.0**900:
                 return None
             G[i][j] = round(math.ldexp(x, 54)) << (top - half[j])
     return G
