@@ -127,6 +127,17 @@ def positive(matrix: ndarray, key: str, complaints: Complaints, *, definite: boo
         )
 
 
+def covariance(value: Any, n: int | None, key: str, complaints: Complaints, *, definite: bool) -> ndarray | None:
+    """A symmetric positive (semi)definite n x n matrix."""
+    many = "n" if n is None else n
+    matrix = shaped(value, (n, n), key, f"{many} x {many}", complaints)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    if symmetric(matrix, key, complaints):
+        positive(matrix, key, complaints, definite=definite)
+    return matrix
+
+
 def cholesky_margin(p: int) -> float:
     """How far from zero that eigenvalue must be for a Cholesky factorisation in doubles to succeed.
 
