@@ -39,6 +39,11 @@ class Complaints:
                 break
             self.add(key, message)
 
+    def extend(self, error: InputError) -> None:
+        """Note everything that an error carries."""
+        self.found.extend(error.complaints)
+        self.only_shapes &= isinstance(error, ShapeError)
+
     def error(self, source: str | None = None) -> InputError:
         """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
         return (ShapeError if self.only_shapes else InputError)(self.found, source=source)
