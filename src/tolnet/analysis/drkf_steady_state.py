@@ -24,7 +24,7 @@ from tolnet.analysis.lost_modes import lost_modes
 from tolnet.analysis.second_moment import Moment, SecondMomentLimit, second_moment_limit, second_moments
 from tolnet.analysis.stacked import symmetric_part
 from tolnet.model import CorruptedNetwork, InputError, Status, UnsupportedError
-from tolnet.model.drkf import CHANNELS, Channel, DrkfHistory, DrkfSteadyState
+from tolnet.model.drkf import CHANNELS, SIGNS, Channel, DrkfHistory, DrkfSteadyState
 
 Progress = Callable[[int, int], None]
 
@@ -34,7 +34,6 @@ TOLERANCE = 1e-12
 """Relative change of P over a period at which it counts as settled."""
 SIX_DIGITS = 1e-6
 """Above this error there is no answer."""
-_SIGNS = {"worst": 1.0, "clean": 0.0, "best": -1.0}
 _UNSEEN = 1e-10  # F U below this share of F is rounding
 
 
@@ -56,8 +55,8 @@ def solve_drkf(
     """The steady (or periodic) covariances and gains of Algorithm 1, for k so large that Pi_k is at its limit.
 
     `channel` says which noise on the matrices is realised on every link: the largest that its bound admits ("worst":
-    P of any realisation is eventually below this one), none ("clean"), or the least ("best"). The recursion is
-    followed from P = 0, below all its orbits, until it settles; the error is then bounded from both sides.
+    P of any realisation is eventually below this one), none ("clean"), or the least ("best"), which is also the
+    filter that sends no matrices and takes them from this table. The recursion is followed from P = 0, below all its orbits, until it settles; the error is then bounded from both sides.
     Assumes nothing: `undetectable` where a mode that does not decay is seen by nobody in the long run, `diverges`
     where the multiplicative noise acts on a growing direction, `not-converged` where six digits were not reached.
     Raises UnsupportedError for functions of k, InputError for an unknown channel.
@@ -110,7 +109,7 @@ def follow_drkf(
     if horizon < 1:
         raise InputError(f"the horizon is {horizon}; a number >= 1 was expected")
     limit = None if network.period is None else second_moment_limit(network)
-    if limit is not None and _driven(network, limit):
+    if limit is not None and is_driven(network, limit):
         limit = None  # what grows drives the filter as well
     moments = second_moments(network, limit)
     before = next(moments)
@@ -184,12 +183,12 @@ def varied(network: CorruptedNetwork, parameter: str, value: float, *, relative:
 def _sign(channel: str) -> float:
     if channel not in CHANNELS:
         raise InputError(f"there is no channel {channel!r}; {', '.join(CHANNELS)} are known")
-    return _SIGNS[channel]
+    return SIGNS[channel]
 
 
 def _refused(network: CorruptedNetwork, limit: SecondMomentLimit) -> tuple[Status, str] | None:
     """Why there cannot be a steady state, if that is known beforehand."""
-    if _driven(network, limit):
+    if is_driven(network, limit):
         return Status.DIVERGES, (
             "the multiplicative noise acts on a direction in which the second moment of the state grows without"
             " bound, and so does the noise that it makes"
@@ -204,7 +203,7 @@ def _refused(network: CorruptedNetwork, limit: SecondMomentLimit) -> tuple[Statu
     return Status.UNDETECTABLE, f"the mode along {along} does not decay and is seen {seen}"
 
 
-def _driven(network: CorruptedNetwork, limit: SecondMomentLimit) -> bool:
+def is_driven(network: CorruptedNetwork, limit: SecondMomentLimit) -> bool:
     """Whether the multiplicative noise acts on a direction in which the second moment grows without bound."""
     if limit.bounded:
         return False

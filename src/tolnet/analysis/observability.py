@@ -107,7 +107,7 @@ def robust_observability(
         window=L,
         holds=bool(seen.all()),
         alpha=float(alpha[worst]),
-        worst_start=worst if worst < known else None,
+        worst_start=worst if worst < known or not known else None,
         weakest_direction=_direction(factors[worst]),
         alpha_by_window=np.array(by_window),
         alpha_over_time=alpha[:known] if known else alpha,
@@ -125,7 +125,7 @@ def triangle(rows: Float[ndarray, "*K p n"]) -> Float[ndarray, "*K n n"]:
     *stack, p, n = rows.shape
     if p < n:
         rows = np.concatenate([rows, np.zeros((*stack, n - p, n))], axis=-2)
-    return np.linalg.qr(rows, mode="r") if rows.size else np.zeros((*stack, n, n))
+    return np.asarray(np.linalg.qr(rows, mode="r")) if rows.size else np.zeros((*stack, n, n))
 
 
 def smallest(factors: Float[ndarray, "*K n n"]) -> tuple[Float[ndarray, "*K"], Bool[ndarray, "*K"]]:

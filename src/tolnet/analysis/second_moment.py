@@ -208,8 +208,8 @@ def _not_decaying(A: Float[ndarray, "T n n"], _: Float[ndarray, "T n n"]) -> Flo
     least = float(modulus[near].min())
     rest = modulus[~near & (modulus < least)]
     least = (least + float(rest.max(initial=0.0))) / 2
-    _, Z, count = schur(Phi, output="real", sort=lambda real, imaginary: np.hypot(real, imaginary) >= least)
-    return Z[:, :count]
+    found = schur(Phi, output="real", sort=lambda real, imaginary: np.hypot(real, imaginary) >= least)
+    return found[1][:, : found[2]]  # pyright: ignore[reportGeneralTypeIssues, reportIndexIssue]
 
 
 def _dominant(A: Float[ndarray, "T m m"], G: Float[ndarray, "T m m"]) -> Float[ndarray, "m r"]:
@@ -220,8 +220,9 @@ def _dominant(A: Float[ndarray, "T m m"], G: Float[ndarray, "T m m"]) -> Float[n
     basis = _symmetric_basis(m)
     images, log = _one_period(A, G, basis)
     values, vectors = np.linalg.eig(np.einsum("kij,lij->kl", basis, images))
-    top = int(np.argmax(values.real))  # a map that keeps the cone has its spectral radius among its eigenvalues
-    if not np.log(max(float(values[top].real), 1e-300)) + log >= -_MARGIN:
+    real = np.real(values)
+    top = int(np.argmax(real))  # a map that keeps the cone has its spectral radius among its eigenvalues
+    if not np.log(max(float(real[top]), 1e-300)) + log >= -_MARGIN:
         return np.zeros((m, 0))
     eigenvalues, Z = np.linalg.eigh(np.einsum("kij,k->ij", basis, np.real(vectors[:, top])))
     size = np.abs(eigenvalues)

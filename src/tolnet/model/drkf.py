@@ -15,7 +15,13 @@ from tolnet.model.status import Status
 
 Channel = Literal["worst", "clean", "best"]
 CHANNELS: tuple[str, ...] = get_args(Channel)
-"""The matrix noise on every link: at its upper bound, none, or at its lower bound. P grows with it."""
+"""The matrix noise on every link: at its upper bound, none, or at its lower bound. P grows with it.
+
+`best` is also what holds where no matrices are sent at all, and every node takes those of its neighbours from a
+table: then the bound of the matrix noise is not needed, and P + W is what is known of a received estimate.
+"""
+SIGNS = {"worst": 1.0, "clean": 0.0, "best": -1.0}
+"""The matrix noise as a multiple of its bound."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +55,19 @@ class DrkfSteadyState(_ReadOnly):
     def trace(self) -> Float[ndarray, "T N"]:
         """tr P of every node at every phase."""
         return np.trace(self.P, axis1=-2, axis2=-1)
+
+    @property
+    def P_check(self) -> Float[ndarray, "T E n n"]:
+        """What a node makes of what it receives: P~_j with the noise realised and the bounds added."""
+        network, factor = self.network, 1 + SIGNS[self.channel]
+        bounds = [network.W_bar(t) + factor * network.D_bar(t) for t in range(len(self.P))]
+        return self.P_tilde[:, network.pairs[:, 1]] + np.stack(bounds)
+
+    @property
+    def weights(self) -> Float[ndarray, "T E n n"]:
+        """W_ij = a_ij P_i Pcheck_ij^-1, eq. (5), one a pair of `network.pairs`; those of a node sum to I."""
+        a = self.network.fusion.data[:, None, None]
+        return a * self.P[:, self.network.pairs[:, 0]] @ np.linalg.inv(self.P_check)
 
     @property
     def worst(self) -> float:

@@ -52,7 +52,7 @@ class RobustObservability(_ReadOnly):
     alpha_by_window: Float[ndarray, " L"]
     """For windows of 1, 2, ... instants."""
     alpha_over_time: Float[ndarray, " K"]
-    """By the first instant of the window."""
+    """By the first instant of the window; over one period where everything repeats from the start."""
     alpha_limit: Float[ndarray, " T"] | None
     """For large k, one a phase of the period; None with a horizon."""
     alpha_without_node: Float[ndarray, " N"]
