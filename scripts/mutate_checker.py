@@ -310,6 +310,7 @@ def main() -> int:
     import warnings
 
     from tests.certificates.examples import certificates
+
     from tolnet.certificates import check as module
 
     warnings.simplefilter("error")
