@@ -34,7 +34,7 @@ from tolnet.certificates.bracket import (
 )
 from tolnet.certificates.convergence import prove_convergence, verify_convergence
 from tolnet.certificates.exact_filter import Covariance
-from tolnet.certificates.numerals import symmetric_matrix, symmetric_text
+from tolnet.certificates.numerals import matrix_text, symmetric_matrix, symmetric_text, vector
 from tolnet.certificates.recursion import enclose_theta, first_covariance, step
 from tolnet.model import example
 
@@ -142,6 +142,9 @@ def test_what_proves_nothing_is_refused():
         altered(claim, Y=symmetric_text(np.zeros((21, 21)))),
         altered(claim, Y=symmetric_text(-symmetric_matrix(claim["proof"]["Y"]))),
         altered(claim, Y="0x1p+0"),
+        altered(claim, factor=""),
+        altered(claim, factor=matrix_text(np.zeros((6, 6)))),
+        altered(claim, factor=matrix_text(vector(claim["proof"]["factor"]) * 2)),
         claim | {"start": symmetric_text(np.zeros((6, 6)))},
         claim | {"start": symmetric_text(-np.eye(6))},
         claim | {"start": symmetric_text(np.eye(5))},
@@ -168,16 +171,17 @@ def test_a_region_is_accepted_only_where_steps_contract(grow: float, factor: flo
         return
     assert rate < 1
     Y = symmetric_matrix(claim["proof"]["Y"])
+    L = vector(claim["proof"]["factor"]).reshape(6, 6)
     factor_of_Y, (i, j) = np.linalg.cholesky(Y), np.triu_indices(6)
     root = np.where(i == j, 1.0, np.sqrt(2.0))
     rng = np.random.default_rng(1)
     for _ in range(15):
         u = np.linalg.solve(factor_of_Y.T, rng.normal(size=21))
         u *= radius / np.linalg.norm(factor_of_Y.T @ u)
-        P = solved.P.copy()
-        P[i, j] += u / root
-        P[j, i] = P[i, j]
-        moved = (_step(solved, P) - solved.P)[i, j] * root
+        D = np.zeros((6, 6))
+        D[i, j] = D[j, i] = u / root
+        after = _step(solved, solved.P + L @ D @ L.T) - solved.P
+        moved = np.linalg.solve(L, np.linalg.solve(L, after).T)[i, j] * root
         assert np.linalg.norm(factor_of_Y.T @ moved) <= rate * radius * (1 + 1e-6)
 
 

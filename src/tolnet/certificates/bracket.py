@@ -111,7 +111,7 @@ def verify_convergence_for_all(exact: ExactFilter, claim: dict[str, Any]) -> str
             return "the bracket was not enclosed: a matrix that must be inverted may be singular"
         if isinstance(ends, NotProved):
             return ends.reason
-        if not region.holds(found, _between(*ends)):
+        if not region.holds(found, _between(*(region.seen(found, end) for end in ends))):
             return f"the bracket does not lie in the region after {steps} steps"
     return None
 
@@ -332,6 +332,8 @@ class _Floating:
     def _distance(L: ndarray, U: ndarray, region: Region, centre: ndarray) -> float:
         """An upper bound on the distance of [L, U], as `Region.holds` finds it."""
         i, j = np.triu_indices(len(L))
-        root = np.sqrt(np.maximum(np.diag(U - L) / 2, 0.0))
-        size = (np.abs((L + U) / 2 - centre) + np.outer(root, root))[i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
+        back = np.linalg.inv(region.L)
+        middle, half = back @ ((L + U) / 2 - centre) @ back.T, np.diag(back @ (U - L) @ back.T) / 2
+        root = np.sqrt(np.maximum(half, 0.0))
+        size = (np.abs(middle) + np.outer(root, root))[i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
         return float(np.sqrt(size @ np.abs(region.Y) @ size))
