@@ -165,8 +165,8 @@ def _bracket(
             above = by_theta if by_theta.trace() < by_kappa.trace() else by_kappa
         else:
             above = by_kappa
-        L = _rounded(equations.following(equations.at(L, least)), -1)
-        U = _rounded(above, 1)
+        L = balls.outward(equations.following(equations.at(L, least)), -1)
+        U = balls.outward(above, 1)
         if not balls.is_positive(L):
             return NotProved(f"step {j + 1} of the bracket: its lower end was not shown to be positive definite")
     return L, U
@@ -181,23 +181,13 @@ def _scalar_bracket(
     if not (below >= 1 and (c == 0 or below - 1 - below.log() <= equations.c)):
         return NotProved("the factor kappa of the tolerance was not enclosed")
     for _ in range(steps):
-        L, U = _rounded(_push(equations, L, below), -1), _rounded(_push(equations, U, above), 1)
+        L, U = balls.outward(_push(equations, L, below), -1), balls.outward(_push(equations, U, above), 1)
     return L, U
 
 
 def _push(equations: Equations, P: BallMatrix, kappa: Any) -> BallMatrix:
     """A ((kappa P)^-1 + S)^-1 A' + Q."""
     return equations.following(equations.at(P * kappa, balls.ball(0)))
-
-
-def _rounded(M: BallMatrix, sign: int) -> BallMatrix:
-    """An exact matrix below (sign -1) or above (sign 1) every symmetric matrix in M: its radii go to the diagonal."""
-    n = M.nrows()
-    rows = balls.symmetric_part(M).tolist()
-    for i, row in enumerate(rows):
-        moved = row[i].mid() + sign * sum((x.rad() for x in row), balls.ball(0)).upper()
-        row[i] = moved.upper() if sign > 0 else moved.lower()
-    return balls.matrix_of(n, n, [rows[min(i, j)][max(i, j)].mid() for i in range(n) for j in range(n)])
 
 
 def _between(L: BallMatrix, U: BallMatrix) -> BallMatrix:

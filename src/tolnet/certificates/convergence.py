@@ -23,7 +23,7 @@ from tolnet.certificates.balls import BallMatrix, NotProved
 from tolnet.certificates.exact_filter import ExactFilter, coordinates_of, frobenius_weights, matrix_from
 from tolnet.certificates.fixed_point import Box, Enclosure, enclose
 from tolnet.certificates.numerals import matrix_text, number_text, symmetric_matrix, symmetric_text, vector
-from tolnet.certificates.recursion import first_covariance, step
+from tolnet.certificates.recursion import Around, first_covariance, step
 
 MOST_STEPS = 5000
 MOST_BITS = 2**12
@@ -98,7 +98,7 @@ class Region:
             X = balls.congruence(L.inv(), at.P) + matrix_from(reach, weights, n)
             if not balls.is_positive(X):
                 return False
-            theta = at.theta
+            theta, room = at.theta, balls.ball(0)
             for _ in range(_WIDENINGS):
                 slope = equations.derivative(equations.at(X, theta, wide=True), weights)
                 if slope.pull is None:
@@ -107,9 +107,10 @@ class Region:
                 move = abs(spread * theta / slope.swing).upper()
                 if not move.is_finite():
                     return False
-                if move < theta.rad() - at.theta.rad():
+                if move < room:
                     return contracts(slope.of_the_recursion(), Y, self.rate)
-                theta = balls.ball(at.theta.mid(), at.theta.rad() + move * 1.25)
+                room = move * 1.25 + at.theta.rad() * 2.0**-20
+                theta = balls.ball(at.theta.mid(), (at.theta.rad() + room).upper())
         except ZeroDivisionError:
             return False
         return False
@@ -203,7 +204,9 @@ def _arrival(
         for steps, P in zip(range(1, min(most, MOST_STEPS) + 1), _orbit(exact, start), strict=False):
             if isinstance(P, NotProved):
                 return NotProved(f"step {steps - 1} of the orbit: {P.reason}")
-            if (np.abs(balls.midpoints(P) - centre) <= near).all() and region.holds(at, region.seen(at, P)):
+            if not (np.abs(balls.midpoints(P.middle) - centre) <= near).all():
+                continue
+            if region.holds(at, region.seen(at, P.hull())):
                 return steps
     except ZeroDivisionError:
         return NotProved("the orbit was not enclosed: a matrix that must be inverted may be singular")
@@ -234,19 +237,19 @@ def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
                     return end.reason
         except ZeroDivisionError:
             return "the orbit was not enclosed: a matrix that must be inverted may be singular"
-        if isinstance(end, NotProved) or not region.holds(found, region.seen(found, end)):
+        if isinstance(end, NotProved) or not region.holds(found, region.seen(found, end.hull())):
             return f"the orbit was not shown to be in the region after {steps} steps"
     return None
 
 
-def _orbit(exact: ExactFilter, start: Float[ndarray, "n n"]) -> Iterator[BallMatrix | NotProved]:
+def _orbit(exact: ExactFilter, start: Float[ndarray, "n n"]) -> Iterator[Around | NotProved]:
     """P_1, P_2, ... from V_0 > 0, in balls of the working precision, until one cannot be enclosed."""
     V = balls.matrix(start)
     if not balls.is_positive(V):
         yield NotProved("the start was not shown to be positive definite")
         return
     equations = exact.equations()
-    P: BallMatrix | NotProved = first_covariance(equations, V)
+    P: Around | NotProved = first_covariance(equations, V)
     while not isinstance(P, NotProved):
         yield P
         P = step(equations, P, exact.c)
