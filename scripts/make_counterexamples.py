@@ -2,9 +2,9 @@
 problems: python scripts/make_counterexamples.py
 
 Small networks are drawn with an unstable plant and sensors of very unequal quality, each node filtering what it hears
-from its neighbours. Every local filter is stable, and so is the network without diffusion; with weights by rule some are
-not. The literature states that they would be, for every admissible W and small tolerances. Numbers are rounded to few
-digits, so that the files can be read.
+from its neighbours. Every local filter is stable, and so is the network without diffusion; with weights by rule some
+are not. The literature states that they would be, for every admissible W and small tolerances. Numbers are rounded to
+few digits, so that the files can be read.
 """
 
 from __future__ import annotations

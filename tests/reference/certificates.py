@@ -5,6 +5,7 @@ docs/certificate.md is all that this file and `tolnet.certificates.check` have i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,9 @@ def random_data(
         "A": text(A),
         "process": {"B": text(B), "columns": n} if factors else {"Q": text(Q)},
         "C": [text(c) for c in C],
-        "noise": [{} if not len(d) else {"D": text(d)} if factors else {"R": text(r)} for d, r in zip(D, R, strict=True)],
+        "noise": [
+            {} if not len(d) else {"D": text(d)} if factors else {"R": text(r)} for d, r in zip(D, R, strict=True)
+        ],
         "directed": directed,
         "neighbours": neighbours,
         "weights": [text(w) for w in weights],
@@ -136,16 +139,18 @@ def random_data(
 
 
 class Numbers:
-    """The doubles of `data` and what follows from them, rounded: for candidates."""
+    """What follows from the numbers of `data`: in doubles for candidates, in fractions for the truth."""
 
-    def __init__(self, data: Document) -> None:
+    def __init__(self, data: Document, number: Callable[[float], Any] = float) -> None:
         def read(words: str, *shape: int) -> ndarray:
-            return np.array([float.fromhex(word) for word in words.split()]).reshape(shape)
+            values = np.array([number(float.fromhex(word)) for word in words.split()], dtype=self.dtype)
+            return values.reshape(shape)
 
+        self.dtype = float if number is float else object
         n, N = self.n, self.N = data["n"], data["nodes"]
         self.neighbours, self.directed = data["neighbours"], data["directed"]
         self.A = read(data["A"], n, n)
-        self.C = [read(c, -1, n) if c else np.zeros((0, n)) for c in data["C"]]
+        self.C = [read(c, -1, n) if c else self.zeros(0, n) for c in data["C"]]
         self.R = []
         for given, C in zip(data["noise"], self.C, strict=True):
             p = len(C)
@@ -156,38 +161,69 @@ class Numbers:
         else:
             B = read(data["process"]["B"], n, data["process"]["columns"])
             self.Q = B @ B.T
-        self.W = np.zeros((N, N))
-        self.G = []  # G[k][l]
-        self.M = []
-        for k, heard in enumerate(self.neighbours):
-            self.W[heard, k] = read(data["weights"][k], len(heard))
-            G = read(data["gains"][k], n, sum(len(self.C[l]) for l in heard))
-            cuts = np.cumsum([len(self.C[l]) for l in heard])[:-1]
-            self.G.append(dict(zip(heard, np.split(G, cuts, axis=1), strict=True)))
-            self.M.append(self.A - sum((self.G[k][l] @ self.C[l] for l in heard), np.zeros((n, n))))
-        self.sigma = abs(self.W).sum(axis=0)
+        self.W = self.weights(data["weights"], read)
+        self.G = self.gains(data["gains"], read)  # G[k][l]
+        self.M = self.loops(self.G)
         self.network = self.block(self.W, self.M)
+        self.read = read
         if data["centre"] is not None:
             self.Gc = [read(g, n, len(self.C[l])) for l, g in enumerate(data["centre"]["gain"])]
             Y = read(data["centre"]["tilt"], n, data["centre"]["columns"])
-            self.T = Y @ Y.T
-            self.F0 = self.A - sum((self.Gc[l] @ self.C[l] for l in range(N)), np.zeros((n, n)))
-            self.Nc = self.Q + sum((self.Gc[l] @ self.R[l] @ self.Gc[l].T for l in range(N)), np.zeros((n, n)))
+            self.T = Y @ Y.T if Y.size else self.zeros(n, n)
+            self.F0 = self.A - self.total(n, [self.Gc[l] @ self.C[l] for l in self.sensors(range(N))])
+            self.Nc = self.Q + self.total(n, [self.Gc[l] @ self.R[l] @ self.Gc[l].T for l in self.sensors(range(N))])
             self.Fe = self.F0 + self.Nc @ self.T @ self.F0
+
+    def zeros(self, *shape: int) -> ndarray:
+        """Zeros of the right kind."""
+        return np.full(shape, 0, dtype=self.dtype)
+
+    def total(self, n: int, terms: list[ndarray]) -> ndarray:
+        """The sum of matrices n x n."""
+        return sum(terms, self.zeros(n, n))
+
+    def sensors(self, nodes: Any) -> list[int]:
+        """Those of the nodes that are no relays."""
+        return [l for l in nodes if len(self.C[l])]
+
+    def weights(self, texts: list[str], read: Any) -> ndarray:
+        """W, column k for node k."""
+        W = self.zeros(self.N, self.N)
+        for k, heard in enumerate(self.neighbours):
+            W[heard, k] = read(texts[k], len(heard))
+        return W
+
+    def gains(self, texts: list[str], read: Any) -> list[dict[int, ndarray]]:
+        """G[k][l]."""
+        found = []
+        for k, heard in enumerate(self.neighbours):
+            G = read(texts[k], self.n, sum(len(self.C[l]) for l in heard))
+            cuts = np.cumsum([len(self.C[l]) for l in heard])[:-1]
+            found.append(dict(zip(heard, np.split(G, cuts, axis=1), strict=True)))
+        return found
+
+    def loops(self, G: list[dict[int, ndarray]]) -> list[ndarray]:
+        """M_k = A - sum_l G_{k,l} C_l."""
+        return [self.A - self.total(self.n, [g[l] @ self.C[l] for l in self.sensors(g)]) for g in G]
 
     def block(self, W: ndarray, M: list[ndarray]) -> ndarray:
         """The network block: w_lk M_l at (k, l)."""
         return np.block([[W[l, k] * M[l] for l in range(self.N)] for k in range(self.N)])
 
+    @property
+    def sigma(self) -> ndarray:
+        """sum_l |w_lk|."""
+        return abs(self.W).sum(axis=0)
+
     def whole(self) -> tuple[ndarray, ndarray, list[ndarray]]:
         """F, G G', and the coupling blocks C_k of F."""
-        n, N = self.n, self.N
-        maps = [{**g} for g in self.G] + [dict(enumerate(self.Gc))]
-        E = [
-            self.Q + sum((G[l] @ self.R[l] @ self.Gc[l].T for l in G), np.zeros((n, n))) for G in maps
-        ]  # the last is N
-        U = np.kron(np.block([[self.W.T, np.zeros((N, 1))], [np.zeros((1, N)), np.ones((1, 1))]]), np.eye(n))
-        F = np.zeros(((N + 1) * n, (N + 1) * n))
+        n, N, total = self.n, self.N, self.total
+        maps = [*self.G, dict(enumerate(self.Gc))]
+        E = [self.Q + total(n, [G[l] @ self.R[l] @ self.Gc[l].T for l in self.sensors(G)]) for G in maps]
+        one = self.zeros(1, 1) + 1
+        U = np.block([[self.W.T, self.zeros(N, 1)], [self.zeros(1, N), one]])
+        U = np.kron(U, np.eye(n, dtype=int).astype(self.dtype))
+        F = self.zeros((N + 1) * n, (N + 1) * n)
         for k in range(N):
             F[k * n : (k + 1) * n, k * n : (k + 1) * n] = self.M[k]
             F[k * n : (k + 1) * n, N * n :] = E[k] @ self.T @ self.F0
@@ -196,7 +232,7 @@ class Numbers:
             [
                 [
                     self.Q
-                    + sum((a[j] @ self.R[j] @ b[j].T for j in a if j in b), np.zeros((n, n)))
+                    + total(n, [a[j] @ self.R[j] @ b[j].T for j in self.sensors(a) if j in b])
                     + E[k] @ self.T @ E[l].T
                     for l, b in enumerate(maps)
                 ]
@@ -226,9 +262,7 @@ def stability_claim(
         for _ in range(2000):
             if method == "primal":
                 moved = [M @ x @ M.T / r**2 for M, x in zip(at.M, X, strict=True)]
-                image = [
-                    at.sigma[k] * sum(abs(at.W[l, k]) * moved[l] for l in range(N)) for k in range(N)
-                ]
+                image = [at.sigma[k] * sum(abs(at.W[l, k]) * moved[l] for l in range(N)) for k in range(N)]
             else:
                 image = [
                     at.M[l].T @ sum(at.sigma[k] * abs(at.W[l, k]) * X[k] for k in range(N)) @ at.M[l] / r**2
@@ -277,10 +311,8 @@ def stability_claim(
 
 
 def _slack(X: list[ndarray], image: list[ndarray]) -> float:
-    """The largest delta with (1 - delta) X_k above its image, to rounding; the candidate is good if it is positive."""
-    return min(
-        1 - max(np.linalg.eigvals(np.linalg.solve(x, y)).real) for x, y in zip(X, image, strict=True)
-    )
+    """The largest delta with (1 - delta) X_k above its image, to rounding."""
+    return min(1 - max(np.linalg.eigvals(np.linalg.solve(x, y)).real) for x, y in zip(X, image, strict=True))
 
 
 def instability_claim(data: Document, method: str, *, of: str = "network", block: str = "network") -> Document:

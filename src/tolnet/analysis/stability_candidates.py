@@ -74,7 +74,7 @@ def power_candidate(
     """
     N, n, _ = M.shape
     F = np.linalg.matrix_power(network_matrix(M, mixing), power).reshape(N, n, N, n).swapaxes(1, 2)
-    pattern = (mixing != 0).astype(float)
+    pattern = abs(mixing).sign()
     reach = pattern
     for _ in range(power - 1):
         reach = reach @ pattern
@@ -193,7 +193,7 @@ def growth_candidate(F: Float[ndarray, "d d"]) -> Growth | None:
     if not np.isfinite(X).all():
         return None
     X = (X + X.T) / 2  # rounding only: the exact solution is symmetric
-    parts = [mode.real, mode.imag]
+    parts = [np.real(mode), np.imag(mode)]
     return Growth(X, max(parts, key=lambda v: float(v @ X @ v)), value, mode)
 
 
@@ -217,7 +217,7 @@ def leading_mode(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Growth
     found = _arnoldi(M, mixing)
     if found is None or not abs(found.eigenvalue) > 1:
         return None
-    return Growth(None, found.mode.real, found.eigenvalue, found.mode)
+    return Growth(None, np.real(found.mode), found.eigenvalue, found.mode)
 
 
 class _Leading(NamedTuple):
@@ -240,8 +240,9 @@ def _arnoldi(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> _Leading |
     kind: Any = LinearOperator
     operator = kind(shape=(N * n, N * n), matvec=step, dtype=np.float64)
     start = np.random.default_rng(3).normal(size=N * n)
+    solve: Any = eigs
     try:
-        values, vectors = eigs(operator, k=4, v0=start, ncv=40, maxiter=500)
+        values, vectors = solve(operator, k=4, v0=start, ncv=40, maxiter=500)
         converged = True
     except ArpackNoConvergence as stopped:
         values, vectors, converged = stopped.eigenvalues, stopped.eigenvectors, False

@@ -16,6 +16,7 @@ import argparse
 import gc
 import json
 import math
+import re
 import sys
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
@@ -30,8 +31,9 @@ SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
 LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 WIDEST_RANGE = 1024  # bits that the numbers of one text may span
-LARGEST_MATRIX = 600  # rows of a matrix that speaks of all nodes at once
+LARGEST_MATRIX = 800  # rows of a matrix that speaks of all nodes at once
 MOST_WORK = 10**9  # multiplications that a claim may cost, roughly
+NUMERAL = re.compile(r"-?0x[01](\.[0-9a-f]{1,13})?p[+-][0-9]{1,4}")  # what float.hex writes of a finite double
 SMALL = 12  # rows up to which elimination decides definiteness
 
 
@@ -220,7 +222,7 @@ def _guess(rows: list[list[int]]) -> list[list[int]] | None:
     G = [[0] * size for _ in range(size)]
     for j, column in enumerate(inverse):
         for i, x in enumerate(column, start=j):
-            if not math.isfinite(x):
+            if not abs(x) < 2.0**900:
                 return None
             G[i][j] = round(math.ldexp(x, 54)) << (top - half[j])
     return G
@@ -793,13 +795,15 @@ def check(document: Any, watch: Watch = unwatched) -> list[Finding]:
 
 def load(path: str, largest: int = LARGEST_FILE) -> Any:
     """The JSON document in a file; Refused where it is too large, nested too deeply, or no plain JSON."""
+    content = bytearray()
     try:
         with open(path, "rb") as file:  # noqa: PTH123
-            content = file.read(largest + 1)
+            while part := file.read(2**20):
+                content += part
+                if len(content) > largest:
+                    raise Refused(f"{path}: larger than {largest} bytes")
     except OSError as error:
         raise Refused(f"{path}: {error.strerror}") from None
-    if len(content) > largest:
-        raise Refused(f"{path}: larger than {largest} bytes")
     try:
         return json.loads(
             content.decode(),
@@ -863,13 +867,12 @@ def _doubles(text: Any, count: int, where: str) -> list[float]:
     if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") != max(0, count - 1):
         raise Wrong(f"{where}: expected {count} hexadecimal numbers in a text")
     words = text.split(" ") if text else []
-    try:
-        values = list(map(float.fromhex, words))
-    except (ValueError, OverflowError):
-        raise Wrong(f"{where}: no hexadecimal number, or one that is no double") from None
-    if len(words) != count or list(map(float.hex, values)) != words or not all(map(math.isfinite, values)):
+    if len(words) != count or not all(map(NUMERAL.fullmatch, words)):
         raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
-    return values
+    try:
+        return list(map(float.fromhex, words))
+    except OverflowError:
+        raise Wrong(f"{where}: a number that is no double") from None
 
 
 def _matrix(text: Any, height: int, width: int, where: str) -> Matrix:
@@ -1017,8 +1020,8 @@ def main(arguments: list[str] | None = None) -> int:
     gc.disable()  # nothing here is cyclic, and a large certificate is millions of small objects
     try:
         findings = check(load(options.certificate, options.largest), watch)
-    except Refused as refusal:
-        print(ascii(f"{refusal}")[1:-1], file=sys.stderr)
+    except (Refused, MemoryError) as refusal:
+        print(ascii(str(refusal) or "out of memory")[1:-1], file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -97,7 +97,8 @@ class Deployed:
         for nodes, part in self._stretches():
             product = self.gains[part][:, :, None] * C[self.sensor_rows[part]][:, None, :]
             starts = self.columns[self.offsets[nodes.start : nodes.stop]] - part.start
-            has = np.diff(np.append(starts, part.stop - part.start)) > 0
+            ends = np.append(starts[1:], part.stop - part.start)
+            has = ends > starts
             if has.any():
                 M[nodes][has] -= np.add.reduceat(product, starts[has], axis=0)
                 size[nodes][has] += np.add.reduceat(np.abs(product), starts[has], axis=0)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from numpy import ndarray
 from scipy import sparse
 
@@ -32,7 +32,7 @@ MOST = 7000
 """Dimension up to which B, a dense complex matrix, is computed."""
 
 
-def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: Complex[ndarray, " d"]) -> Refuted | Undecided:
+def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: ndarray) -> Refuted | Undecided:
     """Decide whether an exact eigenvalue of the network block lies near an approximate one outside the unit circle."""
     block = {"block": "network" if deployed.centre is None else "F"}
     statement = statements.instability("network")
@@ -45,13 +45,13 @@ def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: Complex[n
     return Refuted("schur-stability", statement, found, keys=block)
 
 
-def _normalised(mode: Complex[ndarray, " d"]) -> Complex[ndarray, " d"]:
+def _normalised(mode: ndarray) -> ndarray:
     """Its largest entry 1."""
     return mode / mode[int(np.argmax(np.abs(mode)))]
 
 
 def validate(
-    deployed: Deployed, eigenvalue: complex, z: Complex[ndarray, " d"], *, shipped: bool
+    deployed: Deployed, eigenvalue: complex, z: ndarray, *, shipped: bool
 ) -> dict[str, Any] | str:
     """The witness of a validated eigenpair, or the reason why there is none. B is computed here and not trusted."""
     A, doubt = sparse_block(deployed)
@@ -85,12 +85,12 @@ def validate(
         "of": "network",
         "method": "eigenpair",
         "eigenvalue": matrix_text(np.array([eigenvalue.real, eigenvalue.imag])),
-        "vector": matrix_text(np.concatenate([z.real, z.imag])),
+        "vector": matrix_text(np.concatenate([np.real(z), np.imag(z)])),
         "pivot": pivot,
         "radius": number_text(radius),
     }
     if shipped:
-        witness["inverse"] = matrix_text(np.concatenate([B.real, B.imag]))
+        witness["inverse"] = matrix_text(np.concatenate([np.real(B), np.imag(B)]))
     return witness
 
 
@@ -120,7 +120,7 @@ def _bordered(A: sparse.csr_array, eigenvalue: complex, z: ndarray, pivot: int) 
 
 def _approximate_inverse(
     A: sparse.csr_array, eigenvalue: complex, z: ndarray, pivot: int
-) -> Complex[ndarray, "e e"] | None:
+) -> ndarray | None:
     try:
         B = np.linalg.inv(_bordered(A, eigenvalue, z, pivot).toarray())
     except np.linalg.LinAlgError:
@@ -128,8 +128,8 @@ def _approximate_inverse(
     return B if np.isfinite(B).all() else None
 
 
-def _rounded(B: Complex[ndarray, "e e"]) -> Complex[ndarray, "e e"]:
+def _rounded(B: ndarray) -> ndarray:
     """Short numerals: bits below the largest entry of each row."""
     largest = np.maximum(np.abs(B).max(axis=1, keepdims=True), 1e-300)
     unit = np.exp2(np.ceil(np.log2(largest)) - _SHORT)
-    return np.round(B.real / unit) * unit + 1j * np.round(B.imag / unit) * unit
+    return np.round(np.real(B) / unit) * unit + 1j * np.round(np.imag(B) / unit) * unit

@@ -30,7 +30,7 @@ class Exact:
         """Doubles as the numbers that they are. Assumes them finite."""
         values = np.asarray(values, dtype=float)
         mantissa, exponent = np.frexp(values)
-        whole = np.ldexp(mantissa, _MANTISSA).astype(np.int64)
+        whole = np.asarray(np.ldexp(mantissa, _MANTISSA), dtype=np.int64)
         lowest = np.where(whole != 0, exponent - _MANTISSA + _trailing_zeros(whole), np.iinfo(np.int32).max)
         least = int(lowest.min(initial=np.iinfo(np.int32).max))
         least = 0 if least == np.iinfo(np.int32).max else least

@@ -35,7 +35,13 @@ class SteadyStates:
         """So many filters at a time."""
         starts = range(0, len(self.nodes), size)
         return [
-            SteadyStates(*(values[i : i + size] for values in (self.nodes, self.c, self.P, self.theta)), self.centre)
+            SteadyStates(
+                self.nodes[i : i + size],
+                self.c[i : i + size],
+                self.P[i : i + size],
+                self.theta[i : i + size],
+                self.centre,
+            )
             for i in starts
         ]
 

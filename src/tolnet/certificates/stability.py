@@ -143,12 +143,15 @@ def prove_stability(
     Source: docs/certificate.md, `schur-stability`; docs/mathematics.md, section 11.
     """
     deployed = network.deployed
+    rate = None if rate is None else float(rate)
     block = "network" if deployed.centre is None else "F"
     claim, keys = "schur-stability", {"block": block}
     statement = statements.stability(block)
     if rate is not None:
         claim, keys = "decay-rate", {"block": block, "rate": number_text(rate)}
         statement = statements.decay_rate(block, rate)
+    if not (has_positive_diagonal(candidate.X) and (candidate.centre is None or has_positive_diagonal(candidate.centre))):
+        return Undecided(claim, statement, f"{candidate.method}: the candidate is not positive definite", keys=keys)
     reason = ""
     for bits in (_SHORT, _LONG):
         attempt = _Attempt(network, candidate, 1.0 if rate is None else rate, bits)
@@ -156,6 +159,11 @@ def prove_stability(
         if not reason:
             return Proved(claim, statement, attempt.proof(), attempt.margin, keys=keys)
     return Undecided(claim, statement, f"{candidate.method}: {reason}", keys=keys)
+
+
+def has_positive_diagonal(X: Float[ndarray, "*shape"]) -> bool:
+    """Whether X is finite with a positive diagonal, as all that is positive definite is; only then can it be rounded."""
+    return bool(np.isfinite(X).all() and (np.diagonal(X, axis1=-2, axis2=-1) > 0).all())
 
 
 class _Attempt:

@@ -19,7 +19,7 @@ from numpy import ndarray
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact, segment_sums
 from tolnet.certificates.numerals import matrix_text, shortened, symmetric_text
-from tolnet.certificates.stability import ExactNetwork
+from tolnet.certificates.stability import ExactNetwork, has_positive_diagonal
 from tolnet.certificates.verdicts import Proved, Undecided
 from tolnet.model.link_loss import Losses, reverse_entries
 
@@ -30,7 +30,7 @@ _TRIED = (0.9, 0.5, 0.1, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A state of the network: the entries (k hears l) whose links dropped, or other weights, or other gains."""
+    """A state of the network: the entries (k hears l) whose links dropped; or other weights, other gains, or both."""
 
     dropped: Int[ndarray, " m"] | None = None
     weights: Float[ndarray, " L"] | None = None
@@ -48,10 +48,13 @@ def prove_link_losses(
     keys = {"drop": most}
     if (network.deployed.weights < 0).any():
         return Undecided("switching", statement, "some weights are negative", keys=keys)
+    if not has_positive_diagonal(Y):
+        return Undecided("switching", statement, "the candidate is not positive definite", keys=keys)
     short = shortened(Y, 24)
     exact = Exact.of(short)
     if not exact.definite().all():
         return Undecided("switching", statement, "the candidate is not positive definite", keys=keys)
+    bad = 0
     for part in _TRIED:
         d = float(f"{part * max(margin, 0.0):.2e}")
         bad = _first_failure(_LossImages(network, exact, losses), exact, losses.node, d)
@@ -115,9 +118,11 @@ def prove_scenarios(
     """
     statement = statements.scenarios(len(scenarios))
     keys = {"scenarios": [_entry(network, each) for each in scenarios]}
+    reason = "the candidate is not positive definite"
+    if not has_positive_diagonal(Y):
+        return Undecided("switching", statement, reason, keys=keys)
     short = shortened(Y, 24)
     exact = Exact.of(short)
-    reason = "the candidate is not positive definite"
     good = bool(exact.definite().all())
     for part in _TRIED if good else ():
         d = float(f"{part * max(margin, 0.0):.2e}")

@@ -29,8 +29,6 @@ from tolnet.cli.options import (
 from tolnet.cli.solving import solve_table
 
 if TYPE_CHECKING:
-    from numpy import ndarray
-
     from tolnet.certificates.deployed import Deployed
     from tolnet.certificates.verdicts import Node, Verdict
     from tolnet.cli.evidence import Evidence
@@ -51,32 +49,45 @@ def certify(
     diffusion: Rule = None,
     table: Annotated[
         Path | None,
-        typer.Option("--table", metavar="FILE", help="Certify the gains and weights of this table (.npz, full .json)."),
+        typer.Option(
+            "--table", metavar="FILE", help="Certify the gains and weights of this table (.npz, full .json)."
+        ),
     ] = None,
     precision: Annotated[
-        Literal["float64", "float32"], typer.Option(help="What the device computes in: gains and weights are rounded.")
+        Literal["float64", "float32"],
+        typer.Option(help="What the device computes in: gains and weights are rounded."),
     ] = "float64",
     claims: Annotated[
         str | None,
-        typer.Option(metavar="A,B", help="Some of schur-stability, steady-state, attraction, tolerance, convergence,"
-                     " performance (these without), decay-rate, convergence-all, switching."),
-    ] = None,  # fmt: skip
+        typer.Option(
+            metavar="A,B",
+            help="Some of schur-stability, steady-state, attraction, tolerance, convergence,"
+            " performance (these without), decay-rate, convergence-all, switching.",
+        ),
+    ] = None,
     rate: Annotated[
         float | None, typer.Option(metavar="R", help="Claim that errors decay by this factor a step (decay-rate).")
     ] = None,
     scenarios: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Claim stability under switching among these weights or lost links (.json)."),
+        typer.Option(
+            metavar="FILE", help="Claim stability under switching among these weights or lost links (.json)."
+        ),
     ] = None,
     drop_links: Annotated[
         int | None,
-        typer.Option("--drop-links", min=1, metavar="M", help="Claim stability when any M links at once drop and return."),
+        typer.Option(
+            "--drop-links", min=1, metavar="M", help="Claim stability when any M links at once drop and return."
+        ),
     ] = None,
     stable_weights: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where a network is refuted: write weights nearby that are proved stable"
-                     " (.csv, or .toml for the problem with its weights replaced)."),
-    ] = None,  # fmt: skip
+        typer.Option(
+            metavar="FILE",
+            help="Where a network is refuted: write weights nearby that are proved stable"
+            " (.csv, or .toml for the problem with its weights replaced).",
+        ),
+    ] = None,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
@@ -106,7 +117,8 @@ def certify(
             write(path, certificate_json(opening, data, verdicts))
     if json:
         console.document(certificate_json(opening, data, verdicts))
-    console.show(*certificate_view(subject.deployed, subject.ambiguity, verdicts, _published(subject, verdicts)))
+    bounds = _published(subject, verdicts), _largest(subject, wanted, console)
+    console.show(*certificate_view(subject.deployed, subject.ambiguity, verdicts, *bounds))
     written = list(outputs)
     if _unstable(verdicts):
         written += _advise(subject, stable_weights, console)
@@ -201,7 +213,9 @@ def _prepare(
         central, local, deployment = solved.central, solved.local, Deployment.of(solved, W)
     else:
         if len(stored.tolerances) != network.N:
-            raise InputError(f"is a table of {len(stored.tolerances)} nodes; {network.N} were expected", source=str(table))
+            raise InputError(
+                f"is a table of {len(stored.tolerances)} nodes; {network.N} were expected", source=str(table)
+            )
         with console.progress("steady states") as progress:
             central = analysis.solve_steady_state(network, ambiguity)
             local = analysis.solve_local_steady_states(network, stored.tolerances, progress=progress)
@@ -303,6 +317,19 @@ def _published(subject: Subject, verdicts: Sequence[Verdict]) -> float | None:
     network = subject.network
     S = network.total_information[None]
     return float(analysis.published_bound(network.A, network.Q, S, 2 * network.n)[0])
+
+
+def _largest(subject: Subject, wanted: Sequence[str], console: Console) -> float | None:
+    """The largest c for which the centre is proved to converge from every start, where that was asked for."""
+    from tolnet.certificates.balls import NotProved
+    from tolnet.certificates.bracket import largest_tolerance_for_all
+    from tolnet.certificates.filter_claims import ExactFilters
+
+    if "convergence-all" not in wanted or console.json or console.quiet:
+        return None
+    with console.progress("largest tolerance"):
+        found = largest_tolerance_for_all(ExactFilters(subject.deployed).filter("centre", 0.0))
+    return None if isinstance(found, NotProved) else float.fromhex(found["c"])
 
 
 def _unstable(verdicts: Sequence[Verdict]) -> bool:

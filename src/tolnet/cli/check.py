@@ -16,11 +16,11 @@ from tolnet.cli.options import AsJson, Quiet, Rule, check_outputs, open_problem
 if TYPE_CHECKING:
     from tolnet.certificates.deployed import Deployed
     from tolnet.design.export.deployed import DeployedTable
-    from tolnet.model import SensorNetwork
+    from tolnet.model import SensorNetwork, SteadyState
 
 INVALID, NOT_CHECKED = 1, 3
 _ALIKE = 1e-9
-"""Relative difference up to which a least favourable model, recomputed from a table's V by linear equations, agrees."""
+"""Relative difference up to which a least favourable model agrees with what the centre's V and theta lead to."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ def check(
     """Is every claim true? Exact arithmetic, and ball arithmetic where a logarithm is needed.
 
     With --problem and --table: does the certificate speak of that deployment? Every matrix that the claims use is
-    compared, number by number; no Riccati equation is solved. Exit code 0: every claim is valid; 1: one is not; 2: it is
-    no certificate; 3: none is invalid, but one is undecided or was not checked.
+    compared, number by number; no Riccati equation is solved. Exit code 0: every claim is valid; 1: one is not; 2: it
+    is no certificate; 3: none is invalid, but one is undecided or was not checked.
     """
     from tolnet.model import InputError
 
@@ -63,7 +63,7 @@ def check(
     document = _load(certificate)
     rows = [*_judged(document, certificate, console)]
     if problem is not None:
-        rows += _compared(document, problem, table, diffusion, precision, console)
+        rows = [*rows, *_compared(document, rows, problem, table, diffusion, precision, console)]
     counts = {result: sum(row.result == result for row in rows) for result in ("valid", "invalid")}
     status = "invalid" if counts["invalid"] else "ok" if counts["valid"] == len(rows) else "not-checked"
     console.document([render(_document(document, rows, status))])
@@ -144,7 +144,13 @@ def _in_balls(document: Any, which: Sequence[int], console: Console) -> list[str
 
 
 def _compared(
-    document: Any, problem: str, table: Path | None, diffusion: str | None, precision: str, console: Console
+    document: Any,
+    rows: Sequence[Row],
+    problem: str,
+    table: Path | None,
+    diffusion: str | None,
+    precision: str,
+    console: Console,
 ) -> Iterator[Row]:
     """Whether the numbers of the certificate are those of a problem and of a table."""
     from tolnet.design.export.deployed import read_deployed
@@ -160,27 +166,65 @@ def _compared(
         return
     from tolnet.certificates.document import OF_PROBLEM, OF_TABLE, differences
 
-    yield _row("problem", problem, differences(data, deployed, OF_PROBLEM), "plant, sensors and graph are the same")
+    wrong = differences(data, deployed, OF_PROBLEM)
+    yield _row("problem", problem, wrong, "plant, sensors and graph are the same")
+    if wrong:
+        return
     if stored is None:
         wrong = differences(data, deployed, ("weights",))
         yield _row("weights", problem, wrong, "the weights are the problem's own")
-        yield Row(
-            "gains", problem, "undecided",
-            "not compared: --table FILE holds what is deployed, and a problem alone does not",
-        )  # fmt: skip
+        yield _gains_without_table(claims, rows, network.N, problem)
     else:
         wrong = differences(data, deployed, OF_TABLE)
         yield _row("table", str(table), wrong, "gains and weights are the same")
-        yield _row("least favourable model", str(table), _worst_case(data, network, stored), _WORST)
+    central = _stated_centre(claims, rows, network, stored)
+    if data["centre"] is not None and central is not None:
+        yield _row("least favourable model", problem, _worst_case(data, network, central), _WORST)
     wrong = list(_numbers_of_claims(claims, network, stored))
     yield _row("claims", problem, wrong, "tolerances and initial covariances are those of the deployment")
 
 
-_WORST = f"the stated model follows from the table's V and theta, within {_ALIKE:g}"
+def _gains_without_table(claims: Any, rows: Sequence[Row], nodes: int, problem: str) -> Row:
+    """Gains follow from a problem through a Riccati equation, which is not solved: `steady-state` ties them to it."""
+    tied = [
+        claim
+        for claim, row in zip(claims, rows, strict=True)
+        if claim["claim"] == "steady-state" and row.result == "valid" and claim["node"] != "centre"
+    ]
+    if len({claim["node"] for claim in tied}) < nodes:
+        text = "not compared: --table FILE holds what is deployed, and a problem alone does not"
+        return Row("gains", problem, "not checked here", text)
+    error = max(float.fromhex(claim["gain_error"]) for claim in tied)
+    return Row("gains", problem, "valid", f"the gains are those of the exact steady states, within {error:.1e}")
+
+
+def _stated_centre(
+    claims: Any, rows: Sequence[Row], network: SensorNetwork, stored: DeployedTable | None
+) -> SteadyState | None:
+    """The centre's steady state as the table has it or, without one, as its `steady-state` claim does."""
+    import numpy as np
+
+    from tolnet import analysis
+    from tolnet.certificates.numerals import symmetric_matrix
+
+    if stored is not None:
+        theta = float(stored.record.central["theta"])
+        return analysis.restore_steady_state(network, stored.tolerance, stored.central_P, stored.central_V, theta)
+    for claim, row in zip(claims, rows, strict=True):
+        if claim["claim"] == "steady-state" and claim["node"] == "centre" and row.result == "valid":
+            box = claim["proof"]["box"]
+            P, theta = symmetric_matrix(box["P"]), float.fromhex(box["theta"])
+            V = np.linalg.solve(np.eye(len(P)) - theta * P, P)
+            return analysis.restore_steady_state(network, float.fromhex(claim["c"]), P, (V + V.T) / 2, theta)
+    return None
+
+
+_WORST = f"the stated model follows from the centre's V and theta, within {_ALIKE:g}"
 
 
 def _row(claim: str, of: str, wrong: Sequence[str], right: str) -> Row:
-    return Row(claim, of, "invalid" if wrong else "valid", f"differs in {', '.join(wrong)}" if wrong else right)
+    some = ", ".join(wrong[:_NAMED]) + (f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else "")
+    return Row(claim, of, "invalid" if wrong else "valid", f"differs in {some}" if wrong else right)
 
 
 def _deployment(
@@ -206,8 +250,8 @@ def _deployment(
     return Deployed(network, heard.indptr, heard.indices, weights, columns, gains)
 
 
-def _worst_case(data: Any, network: SensorNetwork, stored: DeployedTable) -> list[str]:
-    """How the stated least favourable model differs from what the table's V and theta lead to, by linear equations."""
+def _worst_case(data: Any, network: SensorNetwork, central: SteadyState) -> list[str]:
+    """How the stated least favourable model differs from what the centre's V and theta lead to: linear equations."""
     import numpy as np
 
     from tolnet import analysis
@@ -219,7 +263,6 @@ def _worst_case(data: Any, network: SensorNetwork, stored: DeployedTable) -> lis
         stated = stated_deployment(data).centre
     except InputError as error:
         return [str(error)]
-    central = analysis.steady_state_of(network, stored.tolerance, stored.central_P, stored.central_V)
     worst = analysis.least_favourable_model(network, central)
     if stated is None or not worst.exists:
         return [] if stated is None and not worst.exists else ["whether there is one"]
@@ -256,22 +299,24 @@ def _document(document: Any, rows: Sequence[Row], status: str) -> dict[str, Any]
     return {"schema": "tolnet.check/1", **opening, "status": status, "findings": findings}
 
 
+_NAMED = 3
 _STYLES = {"invalid": "bold red", "undecided": "yellow", "not checked here": "yellow"}
-_SHOWN = 12
 
 
 def _view(document: Any, rows: Sequence[Row]) -> Iterator[Any]:
     from tolnet.report.table import empty_table
 
     problem = document["problem"] or {}
-    yield f"certificate of {problem.get('name') or 'an unnamed problem'}, {len(document['claims'])} claims"
-    table = empty_table(["claim", "of", "result", "what it says"], words=("claim", "of", "result", "what it says"))
+    count = len(document["claims"])
+    yield f"certificate of {problem.get('name') or 'an unnamed problem'}: {count} claim{'' if count == 1 else 's'}"
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.claim, row.result), []).append(row)
+    table = empty_table(["claim", "of", "result"], words=("claim", "of", "result"))
     for (claim, result), members in groups.items():
-        first = members[0]
-        more = f" (and {len(members) - 1:,} more)" if len(members) > 1 else ""
-        of = first.of if len(members) == 1 else f"{len(members):,} filters"
-        table.add_row(claim, of, result, first.text + more, style=_STYLES.get(result))
+        of = members[0].of if len(members) == 1 else f"{len(members):,} filters"
+        table.add_row(claim, of, result, style=_STYLES.get(result))
     yield table
+    for (_, result), members in groups.items():
+        more = f" (and {len(members) - 1:,} more)" if len(members) > 1 else ""
+        yield f"- {result.capitalize()}{more}: {members[0].text}"

@@ -25,7 +25,7 @@ from tolnet.analysis.stability_candidates import (
 from tolnet.certificates import statements
 from tolnet.certificates.eigenpair import refute_by_eigenpair
 from tolnet.certificates.numerals import number_text
-from tolnet.certificates.performance import exact_dynamics, prove_performance
+from tolnet.certificates.performance import MOST, exact_dynamics, prove_performance
 from tolnet.certificates.stability import (
     Candidate,
     ExactNetwork,
@@ -40,12 +40,13 @@ from tolnet.certificates.switching import (
     scenario_weights,
 )
 from tolnet.certificates.verdicts import Proved, Refuted, Undecided, Verdict
-from tolnet.model.link_loss import possible_losses
+from tolnet.model.link_loss import Losses, possible_losses
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from tolnet.certificates.deployed import Deployed
+    from tolnet.design.stabilise import StableWeights
 
     Progress = Callable[[int, int], None]
 
@@ -112,7 +113,7 @@ class Evidence:
         return None if found is None else ("network", found)
 
     def stability(self, progress: Progress | None = None) -> Verdict:
-        """The ladder: block by block, forwards and backwards; powers with free shares; one full matrix; or a refutation."""
+        """The ladder: block by block, forwards and backwards; powers; one full matrix; or a refutation."""
         tried: list[str] = []
         centre = None if self.centre_loop is None else full_candidate(self.centre_loop)
         if self.deployed.centre is None or centre is not None:
@@ -154,20 +155,19 @@ class Evidence:
         statement = statements.stability(block)
         return Undecided("schur-stability", statement, "; ".join(reasons), keys={"block": block})
 
-    def stable_weights_nearby(self) -> Repaired | None:
+    def stable_weights_nearby(self) -> StableWeights | None:
         """Weights on the same graph that are proved stable, as near to the proposed ones as was found; or None."""
         from tolnet.design.stabilise import stabilise_weights
 
         found = stabilise_weights(self.loops, self.deployed.mixing)
         if found is None:
             return None
-        W, X, own_only = found
         heard = self.deployed
-        weights = np.asarray(W[heard.neighbours, heard.hearer]).ravel()
+        weights = np.asarray(found.W[heard.neighbours, heard.hearer]).ravel()
         other = Evidence(replace(heard, weights=weights))
         centre = None if self.centre_loop is None else full_candidate(self.centre_loop)
-        verdict = prove_stability(other.exact, Candidate("primal", X, centre))
-        return Repaired(W, own_only, verdict) if isinstance(verdict, Proved) else None
+        verdict = prove_stability(other.exact, Candidate("primal", found.X, centre))
+        return found._replace(margin=verdict.margin or 0.0) if isinstance(verdict, Proved) else None
 
     def decay_rate(self, rate: float | None, progress: Progress | None = None) -> Verdict:
         """The smallest rate that is proved, or the one that was asked for."""
@@ -212,7 +212,7 @@ class Evidence:
         from tolnet.analysis.lyapunov_dense import solve_smith
 
         Q = centre = X = None
-        if self.deployed.centre is not None and (self.deployed.N + 1) * self.deployed.n <= 700:
+        if self.centre_loop is not None and (self.deployed.N + 1) * self.deployed.n <= MOST:
             centre, X = full_candidate(self.centre_loop), self.primal
             if centre is not None and X is not None:
                 F, _, noise = exact_dynamics(self.exact)
@@ -231,7 +231,7 @@ class Evidence:
         M = M + parts[losses.lost].sum(axis=1)  # the last part is zero, and -1 names it
         sigma = np.asarray(abs(deployed.mixing).sum(axis=1))
         spread = self._spread(sigma, weights)[losses.node]
-        rows, k, values = _changes(losses.node, losses.lost, losses.returned, sigma, weights, deployed.hearer)
+        rows, k, values = _changes(losses, sigma, weights, deployed.hearer)
         spread = spread + sparse.csr_array((values, (rows, k)), shape=spread.shape)
         found = switching_candidate(Alternatives(losses.node, M, sparse.csr_array(spread)), deployed.N, progress)
         if found is None:
@@ -270,18 +270,9 @@ class Evidence:
         return Undecided("switching", statement, reason, keys=keys)
 
 
-@dataclass(frozen=True, eq=False)
-class Repaired:
-    """Weights near proposed ones, and the proof that they are stable."""
-
-    W: sparse.csr_array
-    own_only: bool
-    """Whether they are the identity, the last resort: no node listens to another's estimate."""
-    verdict: Proved
-
-
-def _changes(node, lost, returned, sigma, weights, hearer) -> tuple[ndarray, ndarray, ndarray]:
-    """Rows, columns and values by which losses change sigma_k |w_lk|: what a node keeps itself, and who hears it no more."""
+def _changes(losses: Losses, sigma: ndarray, weights: ndarray, hearer: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+    """Rows, columns and values by which losses change sigma_k |w_lk|: what a node keeps, and who hears it no more."""
+    node, lost, returned = losses.node, losses.lost, losses.returned
     case, column = np.nonzero(lost >= 0)
     e = lost[case, column]
     kept = case, node[case], sigma[node[case]] * weights[e]

@@ -10,7 +10,6 @@ Answer = TypeVar("Answer")
 
 _SEQUENTIAL_UP_TO = 4
 """Cases that are worked on here and now, since starting processes would take longer."""
-_MANY = 100
 
 
 def in_parallel(
@@ -28,5 +27,6 @@ def _run(work: Callable[[Case], Answer], cases: Sequence[Case]) -> Iterator[Answ
         return map(work, cases)
     import joblib
 
-    parallel: Any = joblib.Parallel(n_jobs=-1, return_as="generator", batch_size=1 if len(cases) < _MANY else 8)
+    kind: Any = joblib.Parallel
+    parallel = kind(n_jobs=-1, return_as="generator", batch_size=1)
     return parallel(joblib.delayed(work)(case) for case in cases)

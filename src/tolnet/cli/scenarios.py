@@ -24,7 +24,7 @@ _KEYS = ("drop", "weights", "triples", "table")
 def read_scenarios(path: Path, deployed: Deployed) -> list[Scenario]:
     """The scenarios of a JSON file `{"scenarios": [...]}`, each an object with some of
 
-        drop      [[l, k], ...], links that dropped
+        drop      [[l, k], ...], links that dropped; stands alone
         weights   W, N x N, w[l][k] weighing neighbour l at node k
         triples   the same as [[l, k, w], ...], the rest being zero
         table     a table file whose gains and weights are in force then; its path counts from this file
@@ -45,7 +45,8 @@ def read_scenarios(path: Path, deployed: Deployed) -> list[Scenario]:
         try:
             found.append(_scenario(entry, f"scenarios[{number}]", deployed, path.parent))
         except InputError as error:
-            complaints += error.complaints
+            where = f"{error.source}: " if error.source else ""
+            complaints += [Complaint(c.key or f"scenarios[{number}]", where + c.message) for c in error.complaints]
     if complaints:
         raise InputError(complaints, source=str(path))
     return found
@@ -61,9 +62,11 @@ def _scenario(entry: Any, key: str, deployed: Deployed, folder: Path) -> Scenari
         if name in entry:
             weights = _weights(entry[name], f"{key}.{name}", deployed, triples=name == "triples")
     if "drop" in entry:
+        if len(entry) > 1:
+            raise InputError([Complaint(key, "drops links and changes weights; make two scenarios of it")])
         dropped = _dropped(entry["drop"], f"{key}.drop", deployed)
-        if (deployed.weights if weights is None else weights).min(initial=0.0) < 0:
-            raise InputError([Complaint(key, "has negative weights where links drop")])
+        if deployed.weights.min(initial=0.0) < 0:
+            raise InputError([Complaint(key, "drops links where some weights are negative")])
     return Scenario(dropped, weights, gains)
 
 
@@ -104,15 +107,12 @@ def _dropped(value: Any, key: str, deployed: Deployed) -> ndarray:
     """The entries of the links; both directions in an undirected network."""
     entries: list[int] = []
     index = _index(deployed)
-    pairs = value if isinstance(value, list) else [None]
-    for i, pair in enumerate(pairs):
-        good = isinstance(pair, list) and len(pair) == 2 and all(type(x) is int for x in pair)
-        directions = [tuple(pair)] if good else []
-        if good and not deployed.network.directed:
-            directions.append((pair[1], pair[0]))
-        if not good or pair[0] == pair[1] or any(each not in index for each in directions):
-            raise InputError([Complaint(f"{key}[{i}]", f"is {pair!r}; a link [l, k] of the graph was expected")])
-        entries += [index[each] for each in directions]
+    for i, pair in enumerate(value if isinstance(value, list) else [value]):
+        match pair:
+            case [int(l), int(k)] if l != k and (l, k) in index:
+                entries += [index[l, k]] if deployed.network.directed else [index[l, k], index[k, l]]
+            case _:
+                raise InputError([Complaint(f"{key}[{i}]", f"is {pair!r}; a link [l, k] of the graph was expected")])
     return np.unique(np.array(entries, dtype=np.int64))
 
 

@@ -8,7 +8,7 @@ linear in X for fixed W. Alternating from W = I, which is always stable, never m
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,10 +28,19 @@ _ALTERNATES_UP_TO = 200
 """Nodes up to which semidefinite programmes are solved; beyond, the proposal is only mixed with I."""
 
 
-def stabilise_weights(
-    M: Float[ndarray, "N n n"], mixing: sparse.csr_array
-) -> tuple[sparse.csr_array, Float[ndarray, "N n n"], bool] | None:
-    """W near the proposed one (`mixing` is its transpose), X that shows it stable block by block, and whether W = I.
+class StableWeights(NamedTuple):
+    """Weights near proposed ones that floating point finds stable, with what should prove it."""
+
+    W: sparse.csr_array
+    X: Float[ndarray, "N n n"]
+    own_only: bool
+    """Whether W = I, the last resort: no node listens to another's estimate."""
+    margin: float
+    """Of the inequality, as far as it was asked for or proved."""
+
+
+def stabilise_weights(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> StableWeights | None:
+    """W near the proposed one (`mixing` is its transpose), and X that shows it stable block by block.
 
     The inequality keeps a margin of about 1 %: weights on the verge would be of no use to anybody.
     Assumes every M_k Schur and W nonnegative with columns that sum to one. None where nothing is proved even for I.
@@ -62,7 +71,8 @@ def stabilise_weights(
         ends = [_alternated(M, proposed, W, start) for W, start in starts]
         best, X = min(ends, key=lambda end: _distance(end[0], proposed))
     apart = abs(best - eye)
-    return sparse.csr_array(best.T), X, bool(apart.max() < 1e-9) if apart.nnz else True
+    own_only = apart.nnz == 0 or bool(apart.max() < 1e-9)
+    return StableWeights(sparse.csr_array(best.T), X, own_only, _MARGIN)
 
 
 def _alternated(
@@ -103,9 +113,8 @@ def _nearest_columns(
             continue
         w: Any = cvxpy.Variable(len(l), nonneg=True)
         total: Any = sum(w[i] * ((images[i] + images[i].T) / 2) for i in range(len(l)))
-        problem = cvxpy.Problem(
-            cvxpy.Minimize(cvxpy.sum_squares(w - w0)), [cvxpy.sum(w) == 1, total << (1 - _KEPT) * np.eye(n)]
-        )
+        constraints: Any = [cvxpy.sum(w) == 1, total << (1 - _KEPT) * np.eye(n)]
+        problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(w - w0)), constraints)
         try:
             problem.solve(solver=cvxpy.CLARABEL)
         except cvxpy.SolverError:

@@ -39,6 +39,11 @@ class Complaints:
                 break
             self.add(key, message)
 
+    def extend(self, error: InputError) -> None:
+        """Note everything that an error carries."""
+        self.found.extend(error.complaints)
+        self.only_shapes &= isinstance(error, ShapeError)
+
     def error(self, source: str | None = None) -> InputError:
         """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
         return (ShapeError if self.only_shapes else InputError)(self.found, source=source)
@@ -127,6 +132,17 @@ def positive(matrix: ndarray, key: str, complaints: Complaints, *, definite: boo
         )
 
 
+def covariance(value: Any, n: int | None, key: str, complaints: Complaints, *, definite: bool) -> ndarray | None:
+    """A symmetric positive (semi)definite n x n matrix."""
+    many = "n" if n is None else n
+    matrix = shaped(value, (n, n), key, f"{many} x {many}", complaints)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    if symmetric(matrix, key, complaints):
+        positive(matrix, key, complaints, definite=definite)
+    return matrix
+
+
 def cholesky_margin(p: int) -> float:
     """How far from zero that eigenvalue must be for a Cholesky factorisation in doubles to succeed.
 
@@ -202,6 +218,16 @@ def shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     return {dict: "a table", type(None): "nothing"}.get(type(value), f"of type {type(value).__name__}")
+
+
+def counted(count: int, what: str) -> str:
+    """`1 sensor`, `2 sensors`."""
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
+
+
+def there_are(count: int, what: str) -> str:
+    """`there is 1 sensor`, `there are 2 sensors`."""
+    return f"there {'is' if count == 1 else 'are'} {counted(count, what)}"
 
 
 def unreadable(error: OSError | ValueError) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tolnet.analysis.stability_candidates import Growth
     from tolnet.certificates.deployed import Deployed
     from tolnet.certificates.verdicts import Verdict
-    from tolnet.cli.evidence import Repaired
+    from tolnet.design.stabilise import StableWeights
     from tolnet.model import Ambiguity
 
 _STYLES = {"refuted": "bold red", "undecided": "yellow"}
@@ -23,9 +23,17 @@ _NAMED_AT_MOST = 5
 
 
 def certificate_view(
-    deployed: Deployed, ambiguity: Ambiguity, verdicts: Sequence[Verdict], published: float | None
+    deployed: Deployed,
+    ambiguity: Ambiguity,
+    verdicts: Sequence[Verdict],
+    published: float | None,
+    largest: float | None = None,
 ) -> Iterator[RenderableType]:
-    """The claims side by side, then each in words."""
+    """The claims side by side, then each in words.
+
+    `published` is the published bound on c of the centre, `largest` the largest c for which it was proved to converge
+    from every start; both on the gamma scale, where they are to be told.
+    """
     network = deployed.network
     nodes = f"{network.N:,} node{'' if network.N == 1 else 's'}"
     yield (
@@ -35,12 +43,15 @@ def certificate_view(
     table = empty_table(["claim", "of", "verdict", "margin"], words=("claim", "of", "verdict"))
     for group in _groups(verdicts):
         for verdict, members in _by_verdict(group):
-            table.add_row(
-                members[0].claim, _subjects(members), verdict, _margin(members), style=_STYLES.get(verdict)
-            )
+            table.add_row(members[0].claim, _subjects(members), verdict, _margin(members), style=_STYLES.get(verdict))
     yield table
     for group in _groups(verdicts):
         yield from _words(group)
+    if largest is not None:
+        yield (
+            "- The largest tolerance for which the centre was proved to converge from every start is"
+            f" {largest:.3g} (gamma)."
+        )
     if published is not None:
         covers = "covers" if published >= ambiguity.gamma else "does not cover"
         yield (
@@ -84,6 +95,10 @@ def _words(group: Sequence[Verdict]) -> Iterator[str]:
     """One claim in words, worst first."""
     for word, members in _by_verdict(group):
         first = members[0]
+        if first.node is None and len(members) > 1:
+            for member in members:
+                yield from _words([member])
+            continue
         more = f" (and {len(members) - 1:,} more)" if len(members) > 1 else ""
         match word:
             case "proved":
@@ -105,7 +120,9 @@ def _what_if(members: Sequence[Verdict]) -> str:
             worst = max(members, key=lambda verdict: float.fromhex(verdict.keys["rate"]))
             rate = float.fromhex(worst.keys["rate"])
             where = "the centre" if worst.node == "centre" else f"node {worst.node}"
-            return f" The slowest is {where}, {rate:.4g}; `tolnet table --limits` tells at which tolerance it reaches 1."
+            return (
+                f" The slowest is {where}, {rate:.4g}; `tolnet table --limits` tells at which tolerance it reaches 1."
+            )
         case "steady-state":
             error = max(float.fromhex(verdict.keys["gain_error"]) for verdict in members)
             return f" The deployed gains are within {error:.1e} (relative) of the exact ones."
@@ -117,7 +134,7 @@ def _what_if(members: Sequence[Verdict]) -> str:
 
 
 def instability_view(
-    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: Repaired | None
+    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: StableWeights | None
 ) -> Iterator[RenderableType]:
     """Which nodes carry the unstable mode, and which weights nearby are proved stable."""
     network = deployed.network
@@ -127,7 +144,7 @@ def instability_view(
         share = share / share.sum()
         order = np.argsort(-share, kind="stable")[:_NAMED_AT_MOST].tolist()
         carriers = ", ".join(f"{network.label(k)} ({100 * share[k]:.0f} %)" for k in order if share[k] >= 0.01)
-        yield f"The mode grows by a factor of {abs(found.eigenvalue):.4g} a step; the nodes that carry it: {carriers}."
+        yield f"The mode grows by a factor of {abs(found.eigenvalue):.4g} a step; these nodes carry it: {carriers}."
     if repaired is None:
         yield "No weights nearby were found that could be proved stable; --diffusion none keeps every node to itself."
         return
@@ -137,7 +154,7 @@ def instability_view(
     moved = np.abs(W - w).sum(axis=0) / 2
     changed = np.flatnonzero(moved > 1e-9).tolist()
     yield (
-        f"Weights nearby are proved stable, with a margin of {repaired.verdict.margin:.3g}: they differ by"
+        f"Weights nearby are proved stable, with a margin of {repaired.margin:.3g}: they differ by"
         f" {np.linalg.norm(W - w):.3g} in the Frobenius norm, at {len(changed)} of {deployed.N} nodes."
     )
     for k in changed[:_NAMED_AT_MOST]:
