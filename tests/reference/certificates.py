@@ -328,7 +328,7 @@ def instability_claim(data: Document, method: str, *, of: str = "network", block
     else:
         values, vectors = np.linalg.eig(F)
         i = int(np.argmax(abs(values)))
-        value, z = complex(values[i]), vectors[:, i]
+        value, z = complex(values[i]), vectors[:, i].astype(complex)
         pivot = int(np.argmax(abs(z)))
         J = np.zeros((d + 1, d + 1), dtype=complex)
         J[:d, :d], J[:d, d], J[d, pivot] = F - value * np.eye(d), -z, 1

@@ -889,7 +889,7 @@ def _whole(thing: Any, low: int, high: int, where: str) -> int:
 
 def _doubles(text: Any, count: int, where: str) -> list[float]:
     """So many doubles, written as float.hex writes them, one space between two."""
-    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") != max(0, count - 1):
+    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") + (text != "") != count:
         raise Wrong(f"{where}: expected {count} hexadecimal numbers in a text")
     words = text.split(" ") if text else []
     try:
