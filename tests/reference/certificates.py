@@ -335,7 +335,7 @@ def instability_claim(data: Document, method: str, *, of: str = "network", block
         B = np.linalg.inv(J)
         witness |= {
             "eigenvalue": text([value.real, value.imag]),
-            "vector": text([z.real, z.imag]),
+            "vector": text([np.real(z), np.imag(z)]),
             "pivot": pivot,
             "inverse": text([B.real, B.imag]),
             "radius": text([1e-9]),
