@@ -90,6 +90,8 @@ def _walk(node: ast.AST, path: Route) -> Iterator[tuple[Route, ast.AST]]:
     """The nodes worth a fault: no messages, annotations or docstrings."""
     if isinstance(node, ast.FunctionDef) and node.name in NOT_MUTATED:
         return
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        return  # zip(..., strict=True) only guards what has been checked before
     if isinstance(node, ast.JoinedStr | ast.Raise | ast.Import | ast.ImportFrom):
         if isinstance(node, ast.Raise):
             yield path, node
