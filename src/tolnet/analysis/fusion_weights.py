@@ -12,7 +12,7 @@ from numpy import ndarray
 from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, Solution, minimise
 from tolnet.analysis.stacked import cholesky, finite_members, inverse, symmetric_part
 from tolnet.model import InputError, ShapeError
-from tolnet.model.fusion import FusionWeights
+from tolnet.model.fusion_weights import FusionWeights
 
 BLOCK = 512
 """Problems that are solved together: their arrays stay in the cache."""
