@@ -5,6 +5,7 @@ from tolnet.analysis.detectability import Detectability, detectability
 from tolnet.analysis.divergence import gamma
 from tolnet.analysis.error_dynamics import error_dynamics
 from tolnet.analysis.filters import evaluate_filters, follow_filters
+from tolnet.analysis.fusion_weights import solve_fusion_weights
 from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.limits import published_bound, tolerance_limits
 from tolnet.analysis.local_tolerance import local_tolerances
@@ -27,6 +28,7 @@ __all__ = [
     "published_bound",
     "simulate_filters",
     "simulate_least_favourable",
+    "solve_fusion_weights",
     "solve_local_steady_states",
     "solve_lyapunov",
     "solve_riccati",

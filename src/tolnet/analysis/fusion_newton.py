@@ -21,7 +21,7 @@ Source: docs/mathematics.md, section 13.6.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -115,9 +115,9 @@ class _Iterate:
     proven: Float[ndarray, " B"]
     """... which is this, at the weights that it came with."""
 
-    def keep(self, mask: Bool[ndarray, " B"]) -> Self:
+    def keep(self, mask: Bool[ndarray, " B"]) -> _Iterate:
         """Only some of them."""
-        return self if mask.all() else type(self)(*(getattr(self, item.name)[mask] for item in fields(self)))
+        return self if mask.all() else _Iterate(*(getattr(self, item.name)[mask] for item in fields(self)))
 
 
 def _start(Omega: Float[ndarray, "B J n n"], M: Float[ndarray, "B n n"], constrained: bool) -> _Iterate:
@@ -258,6 +258,7 @@ class _System:
             right = right - reach[:, None] * ahead.delta * ahead.z
             target = target - reach[:, None, None] * symmetric_part(ahead.S @ ahead.Z)
         rows = right - at.delta * self.slope.g
+        Y = target
         if m:
             Y = target / self.between
             pull = (self.diagonal + Y - self.missing).reshape(self.B, 1, m * m) @ self.scaled

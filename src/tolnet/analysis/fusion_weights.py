@@ -6,17 +6,19 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
-from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, Solution, minimise
+from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, minimise
 from tolnet.analysis.stacked import cholesky, finite_members, inverse, symmetric_part
-from tolnet.model import InputError, ShapeError
-from tolnet.model.fusion_weights import FusionWeights
+from tolnet.model import FusionWeights, InputError, ShapeError
+from tolnet.model.fusion_weights import lower_bound
 
 BLOCK = 512
 """Problems that are solved together: their arrays stay in the cache."""
 _ASYMMETRY = 1e-8
+_WANTED = 1e-6
+"""A gap above this is worth a second try."""
 _SAME = 1e-8
 """Reference weights count as optimal where nothing is better by this part."""
 
@@ -49,20 +51,19 @@ def solve_fusion_weights(
     count = int(np.prod(stack))
     Omega = information.reshape(count, J, n, n)
     a = None if reference is None else reference.reshape(count, J)
-    found = Solution(np.empty((count, J)), np.empty((count, n, n)), np.empty(count, dtype=int))
+    weights, bound, iterations = np.empty((count, J)), np.empty(count), np.empty(count, dtype=int)
     for start in range(0, count, BLOCK):
         some = slice(start, start + BLOCK)
-        solved = _solve_block(Omega[some], None if a is None else a[some], gap)
-        for whole, part in zip(found, solved, strict=True):
-            whole[some] = part
+        found = _solve_block(Omega[some], None if a is None else a[some], gap)
+        weights[some], bound[some], iterations[some] = found.weights, found.bound, found.iterations
         if progress is not None:
             progress(min(start + BLOCK, count), count)
     return FusionWeights(
         information=information,
         reference=reference,
-        weights=found.weights.reshape(*stack, J),
-        multiplier=found.multiplier.reshape(*stack, n, n),
-        iterations=found.iterations.reshape(stack),
+        weights=weights.reshape(*stack, J),
+        bound=bound.reshape(stack),
+        iterations=iterations.reshape(stack),
         method="newton",
     )
 
@@ -78,6 +79,11 @@ class Frame(NamedTuple):
     M: Float[ndarray, "B n n"]
     scale: Float[ndarray, " B"]
     """tr P at the start."""
+
+    def back(self, Z: Float[ndarray, "K n n"], members: Int[ndarray, " K"]) -> Float[ndarray, "K n n"]:
+        """A multiplier of some members' constraint, in the coordinates of the problem."""
+        T = self.T[members]
+        return symmetric_part(T @ (self.scale[members, None, None] * Z) @ T.mT)
 
 
 def frame(information: Float[ndarray, "B J n n"], start: Float[ndarray, "B J"]) -> Frame:
@@ -104,7 +110,7 @@ def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[nda
         raise ShapeError(f"reference has shape {reference.shape}; {information.shape[:-2]} was expected")
     off = ~(reference >= 0) | (np.abs(reference.sum(axis=-1, keepdims=True) - 1) > 1e-9)
     if off.any():
-        raise InputError(f"reference{_place(off[..., None, None])} is no set of weights >= 0 that sum to one")
+        raise InputError(f"reference{_place(off.any(axis=-1)[..., None, None])} is no set of weights >= 0 that sum to one")
 
 
 def _place(culprits: ndarray) -> str:
@@ -112,46 +118,42 @@ def _place(culprits: ndarray) -> str:
     return "".join(f"[{i}]" for i in np.argwhere(culprits)[0][:-2])
 
 
-def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> Solution:
+def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> FusionWeights:
     """Boldly, then carefully where that failed; the reference weights where they are optimal."""
-    solution = _minimise(Omega, a, gap, BOLD)
-    found = _judged(Omega, a, solution)
-    again = np.flatnonzero(~found.ok & np.isfinite(found.trace))
+    found = _minimise(Omega, a, gap, BOLD)
+    again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
     if again.size:
         careful = _minimise(Omega[again], None if a is None else a[again], gap, CAREFUL)
-        for whole, part in zip(solution, careful, strict=True):
-            whole[again] = part
-        found = _judged(Omega, a, solution)
+        found = found.with_members(again, careful)
     if a is None:
-        return solution
+        return found
     # feasible without rounding, and nothing new to tell anybody
-    same = _judged(Omega, a, solution._replace(weights=a))
+    same = FusionWeights(Omega, a, a, found.bound, found.iterations, "newton")
     prefer = same.ok & (same.trace <= found.trace * (1 + _SAME))
-    return solution._replace(weights=np.where(prefer[:, None], a, solution.weights))
-
-
-def _judged(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, solution: Solution) -> FusionWeights:
-    return FusionWeights(Omega, a, solution.weights, solution.multiplier, solution.iterations, "newton")
+    weights = np.where(prefer[:, None], a, found.weights)
+    return FusionWeights(Omega, a, weights, found.bound, found.iterations, "newton")
 
 
 def _minimise(
     information: Float[ndarray, "B J n n"], reference: Float[ndarray, "B J"] | None, gap: float, haste: Haste
-) -> Solution:
+) -> FusionWeights:
     """Solve in the frame of the start, and bring the multipliers back."""
     B, J, n, _ = information.shape
     start = np.full((B, J), 1 / J) if reference is None else reference
-    finite = np.isfinite(information).all(axis=(1, 2, 3))
+    finite = np.asarray(np.isfinite(information).all(axis=(1, 2, 3)))
     within = frame(np.where(finite[:, None, None, None], information, 0.0), start)
     usable = np.flatnonzero(finite & finite_members(within.T))
-    weights, multiplier, iterations = np.array(start), np.zeros((B, n, n)), np.zeros(B, dtype=int)
+    weights, Z, iterations = np.array(start), np.zeros((B, n, n)), np.zeros(B, dtype=int)
     if usable.size:
         found = minimise(
             within.Omega[usable], within.M[usable], constrained=reference is not None, gap=gap, haste=haste
         )
         weights[usable], iterations[usable] = without_empty(found.weights, information[usable]), found.iterations
-        T, scale = within.T[usable], within.scale[usable, None, None]
-        multiplier[usable] = symmetric_part(T @ (scale * found.multiplier) @ T.mT)
-    return Solution(weights, multiplier, iterations)
+        Z[usable] = within.back(found.multiplier, usable)
+    found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
+    return FusionWeights(
+        information, reference, weights, lower_bound(information, reference, found.covariance, Z), iterations, "newton"
+    )
 
 
 def without_empty(weights: Float[ndarray, "B J"], information: Float[ndarray, "B J n n"]) -> Float[ndarray, "B J"]:

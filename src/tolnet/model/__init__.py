@@ -4,6 +4,7 @@ from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
 from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
+from tolnet.model.fusion_weights import FusionWeights
 from tolnet.model.graph import DIFFUSION_RULES
 from tolnet.model.network import SensorNetwork
 from tolnet.model.reading import load, parse, validate
@@ -20,6 +21,7 @@ __all__ = [
     "Complaint",
     "Convention",
     "ErrorDynamics",
+    "FusionWeights",
     "InputError",
     "LeastFavourableModel",
     "Performance",

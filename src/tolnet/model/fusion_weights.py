@@ -12,8 +12,8 @@ from numpy import ndarray
 from tolnet.model.results import _ReadOnly
 from tolnet.model.status import Status
 
-GAP = 1e-6
-"""A relative gap up to which weights count as optimal: six digits of the trace."""
+GAP = 1e-4
+"""A relative gap up to which weights are accepted. Whatever it is they are safe; a general solver proves no more."""
 VIOLATION = 1e-9
 """How far P <= P_0 may fail, in parts of P_0; rounding in the recursion of the covariances is about as large."""
 
@@ -25,15 +25,14 @@ class FusionWeights(_ReadOnly):
         min tr P,   P = Omega(delta)^-1,   Omega(delta) = sum_j delta_j Omega_j,   delta >= 0,   sum_j delta_j = 1,
         and, where there are reference weights a,   P <= P_0 = Omega(a)^-1                              eq. (17)
 
-    Z, the multiplier of Omega(delta) >= Omega(a), is any positive semidefinite matrix: whatever it is, convexity makes
-    `gap` a bound (docs/mathematics.md, section 13.6). Gap and violation are recomputed here from what is stored.
+    `bound` is below the least trace, proved by multipliers (`lower_bound`); what weights reach is recomputed here.
     Shapes: (*stack, J, n, n) for Omega, (*stack, J) for weights. Units: those of the state squared for P.
     """
 
     information: Float[ndarray, "*B J n n"]
     reference: Float[ndarray, "*B J"] | None
     weights: Float[ndarray, "*B J"]
-    multiplier: Float[ndarray, "*B n n"]
+    bound: Float[ndarray, "*B"]
     iterations: Int[ndarray, "*B"]
     method: str
 
@@ -49,17 +48,8 @@ class FusionWeights(_ReadOnly):
 
     @cached_property
     def gap(self) -> Float[ndarray, "*B"]:
-        """By how much, relative to tr P, the least trace can be below this one at most.
-
-        The largest of g' (delta - y) - tr Z (Omega(a) - Omega(y)) over the simplex, g the gradient of the trace.
-        Without reference weights it is the Frank-Wolfe gap.
-        """
-        P, Z = self.covariance, self.multiplier
-        slope = -_inner(self.information, P @ P) - _inner(self.information, Z)
-        at = -np.trace(P, axis1=-2, axis2=-1)
-        if self.reference is not None:
-            at = at - np.einsum("...ij,...ij->...", Z, _combine(self.reference, self.information))
-        return (at - slope.min(axis=-1)) / self.trace
+        """By how much, relative to tr P, the least trace can be below this one at most."""
+        return 1 - self.bound / self.trace
 
     @cached_property
     def violation(self) -> Float[ndarray, "*B"]:
@@ -70,7 +60,7 @@ class FusionWeights(_ReadOnly):
         slack = _combine(self.weights - self.reference, self.information)
         root = _whitener(floor)
         white = root.mT @ slack @ root
-        finite = np.isfinite(white).all(axis=(-1, -2))
+        finite = np.asarray(np.isfinite(white).all(axis=(-1, -2)))
         least = np.linalg.eigvalsh(np.where(finite[..., None, None], white, 0.0))[..., 0]
         return np.where(finite, np.maximum(-least, 0.0), np.nan)
 
@@ -83,8 +73,17 @@ class FusionWeights(_ReadOnly):
     @cached_property
     def status(self) -> ndarray:
         """One of `Status` as text for each: `ok`, `not-converged`, or `singular` where no P exists."""
-        exists = np.isfinite(self.trace)
+        exists = np.isfinite(self.trace) & np.isfinite(self.information).all(axis=(-1, -2, -3))
         return np.where(self.ok, str(Status.OK), np.where(exists, str(Status.NOT_CONVERGED), str(Status.SINGULAR)))
+
+    def with_members(self, members: ndarray, other: FusionWeights) -> FusionWeights:
+        """The same with some members (a mask or indices) solved anew."""
+        parts = [np.array(part) for part in (self.weights, self.bound, self.iterations)]
+        for whole, part in zip(parts, (other.weights, other.bound, other.iterations), strict=True):
+            whole[members] = part
+        weights, bound, iterations = parts
+        method = self.method if other.method == self.method else f"{self.method}, {other.method}"
+        return FusionWeights(self.information, self.reference, weights, bound, iterations, method)
 
     def or_reference(self) -> Float[ndarray, "*B J"]:
         """The weights where they are `ok`, and elsewhere those of Algorithm 1, the reference weights."""
@@ -97,12 +96,27 @@ class FusionWeights(_ReadOnly):
         return f"<FusionWeights ({self.method}): {count} of {J} pairs each, {int(self.ok.sum())} ok>"
 
 
+def lower_bound(
+    information: Float[ndarray, "*B J n n"],
+    reference: Float[ndarray, "*B J"] | None,
+    V: Float[ndarray, "*B n n"],
+    Z: Float[ndarray, "*B n n"],
+) -> Float[ndarray, "*B"]:
+    """2 tr V - max_j tr(Omega_j (V V' + Z)) + tr(Z Omega(a)), for any V and Z >= 0: below tr P of allowed weights.
+
+    Proof: tr P >= 2 tr V - tr(V' Omega V) for P = Omega^-1, since (P - V)' Omega (P - V) >= 0; then
+    tr(Z (Omega(delta) - Omega(a))) >= 0, and a mean over j is at most the largest. Equality at the optimum, with
+    V = P and Z the multiplier of P <= P_0; without reference weights and Z, trace less bound is the Frank-Wolfe gap.
+    """
+    most = np.einsum("...jkl,...kl->...j", information, V @ V.mT + Z).max(axis=-1)
+    bound = 2 * np.trace(V, axis1=-2, axis2=-1) - most
+    if reference is None:
+        return np.asarray(bound)
+    return bound + np.einsum("...ij,...ij->...", Z, _combine(reference, information))
+
+
 def _combine(weights: Float[ndarray, "*B J"], information: Float[ndarray, "*B J n n"]) -> Float[ndarray, "*B n n"]:
     return np.einsum("...j,...jkl->...kl", weights, information)
-
-
-def _inner(information: Float[ndarray, "*B J n n"], X: Float[ndarray, "*B n n"]) -> Float[ndarray, "*B J"]:
-    return np.einsum("...jkl,...kl->...j", information, X)
 
 
 def _whitener(X: Float[ndarray, "*B n n"]) -> Float[ndarray, "*B n n"]:
