@@ -112,7 +112,7 @@ def lower_bound(
     bound = 2 * np.trace(V, axis1=-2, axis2=-1) - most
     if reference is None:
         return np.asarray(bound)
-    return bound + np.einsum("...ij,...ij->...", Z, _combine(reference, information))
+    return np.asarray(bound + np.einsum("...ij,...ij->...", Z, _combine(reference, information)))
 
 
 def _combine(weights: Float[ndarray, "*B J"], information: Float[ndarray, "*B J n n"]) -> Float[ndarray, "*B n n"]:
