@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.analysis.corrupted_truth import CorruptedInstant
@@ -83,6 +83,7 @@ class Drkf(ChannelFilter):
         senders = self.network.pairs[:, 1]
         gain, P = update(moment.now, predict(moment.before.A, moment.noise, self.P), moment.Pi)
         x = correct(moment.now, self.x @ moment.before.A.T, gain, drawn.y)
+        P = np.broadcast_to(P, (len(drawn.D), *P.shape[1:]))  # from the first channel noise on, paths differ
         return Received(x[:, senders] + drawn.e, exchange(self.network, moment.now, P, drawn.D))
 
     def _fuse(self, k: int, current: Received) -> Fused:
@@ -90,14 +91,25 @@ class Drkf(ChannelFilter):
 
 
 class DrkfSwf(Drkf):
-    """Algorithm 2: the same with a sliding window and the weights of eq. (17), as network.window and interval say."""
+    """Algorithm 2: the same with a sliding window and the weights of eq. (17).
+
+    `window` and `interval` (0: never) are one number, or one a node; the network's own without.
+    """
 
     name = "DRKF-SWF"
     meaning = "the same with optimised fusion over a sliding window, Algorithm 2"
 
-    def __init__(self, network: CorruptedNetwork, runs: int) -> None:
+    def __init__(
+        self,
+        network: CorruptedNetwork,
+        runs: int,
+        window: int | Int[ndarray, " N"] | None = None,
+        interval: int | Int[ndarray, " N"] | None = None,
+    ) -> None:
         super().__init__(network, runs)
-        self.sliding = SlidingWindow(network, np.full(network.N, network.window), network.interval)
+        length = network.window if window is None else window
+        every = network.interval if interval is None else interval
+        self.sliding = SlidingWindow(network, np.broadcast_to(length, network.N), np.broadcast_to(every, network.N))
 
     def step(self, moment: Moment, drawn: CorruptedInstant) -> None:
         self.sliding.propagate(moment.before.A, moment.noise)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
@@ -41,6 +41,8 @@ def simulate_corrupted(
     seed: int = 0,
     filters: Iterable[str] | None = None,
     shared_path: bool = False,
+    window: int | Int[ndarray, " N"] | None = None,
+    interval: int | Int[ndarray, " N"] | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, CorruptedSimulation]:
@@ -48,11 +50,11 @@ def simulate_corrupted(
 
     Every filter sees the same state, measurements and channel noise, which are as large as the network's bounds and
     network.simulation allow (`walk_corrupted`). `filters` names some of CHANNEL_FILTERS, all without; DRKF-SWF takes
-    its window and intervals from the network. With `shared_path` all runs meet one path of noise on matrices, and P of
+    its window and intervals (one for all, or one a node) from the network unless they are given. With `shared_path` all runs meet one path of noise on matrices, and P of
     DRKF and DRKF-SWF bounds their covariances given that path (Definition 2.2); else every run has a path of its own,
     and the mean of P bounds the mean square error. `progress(done, total)` counts runs.
-    Raises UnsupportedError for an unknown filter, ValueError for fewer than 2 runs or 1 step, InputError where
-    network.simulation contradicts the bounds.
+    Raises UnsupportedError for an unknown filter, ValueError for fewer than 2 runs or 1 step, a window below 1 or an
+    interval below 0 (never), InputError where network.simulation contradicts the bounds.
     Source: eqs. (1)-(4), (13)-(18); docs/mathematics.md, sections 13.7 and 13.8.
     """
     if runs < 2 or steps < 1:
@@ -61,7 +63,7 @@ def simulate_corrupted(
     batch = int(np.clip(MOST_NUMBERS // (len(network.pairs) * network.n**2), 2, BATCH))
     path, *children = np.random.SeedSequence(seed).spawn(1 + -(-runs // batch))
     sizes = [min(batch, runs - start) for start in range(0, runs, batch)]
-    job = _Job(network, names, steps, path if shared_path else None)
+    job = _Job(network, names, steps, path if shared_path else None, window, interval)
     sums: list[_Sums] | None = None
     done = 0
     for size, found in zip(sizes, _map(job, sizes, children, workers), strict=True):
@@ -161,6 +163,8 @@ class _Job:
     steps: int
     path: np.random.SeedSequence | None
     """Of the one path of noise on matrices, where it is shared."""
+    window: int | Int[ndarray, " N"] | None
+    interval: int | Int[ndarray, " N"] | None
 
     def __call__(self, size: int, child: np.random.SeedSequence) -> list[_Sums]:
         """Walk `size` runs with all filters abreast."""
@@ -173,7 +177,7 @@ class _Job:
             steps=self.steps,
             shared=self.path is not None,
         )
-        running = [CHANNEL_FILTERS[name](self.network, size) for name in self.names]
+        running = [self._filter(name, size) for name in self.names]
         records = [_Record(each, size, self.steps) for each in running]
         ahead: list[Moment | None] = [None, *moments(self.network, self.steps)]
         with np.errstate(all="ignore"):  # a filter that diverges is told of in words
@@ -184,6 +188,11 @@ class _Job:
                         each.step(moment, drawn)
                     record.note(drawn.k, drawn.x, _ABSURD * float(np.trace(Pi)))
             return [record.sums() for record in records]
+
+    def _filter(self, name: str, runs: int) -> ChannelFilter:
+        if name == DrkfSwf.name:
+            return DrkfSwf(self.network, runs, self.window, self.interval)
+        return CHANNEL_FILTERS[name](self.network, runs)
 
 
 class _Record:

@@ -62,6 +62,8 @@ class SlidingWindow:
     """What all nodes keep, and the fusion over it. `window` and `interval` per node; an interval of 0 is never."""
 
     def __init__(self, network: CorruptedNetwork, window: Int[ndarray, " N"], interval: Int[ndarray, " N"]) -> None:
+        if window.min() < 1 or interval.min() < 0:
+            raise ValueError("a window is at least 1 and an interval at least 0")
         self.network, self.window, self.interval = network, window, interval
         self.kept: list[Received] = []
         self.solved: list[Solved] = []

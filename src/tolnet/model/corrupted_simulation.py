@@ -38,7 +38,7 @@ class CorruptedSimulation(_ReadOnly):
     standard_error: Float[ndarray, " T1"]
     """Of `mse`, from the spread between runs."""
     growth: float
-    """Factor a step by which the typical (geometric mean) squared error grew over the second half; 1 where it did not."""
+    """Factor a step by which the typical squared error (geometric mean) grew in the second half; 1 if it did not."""
     diverged: int
     """Runs whose errors left the doubles, or became a million times the state that they are of."""
     solves: int

@@ -44,12 +44,12 @@ class FusionWeights(_ReadOnly):
     @cached_property
     def trace(self) -> Float[ndarray, "*B"]:
         """tr P."""
-        return np.trace(self.covariance, axis1=-2, axis2=-1)
+        return np.asarray(np.trace(self.covariance, axis1=-2, axis2=-1))
 
     @cached_property
     def gap(self) -> Float[ndarray, "*B"]:
         """By how much, relative to tr P, the least trace can be below this one at most."""
-        return 1 - self.bound / self.trace
+        return np.asarray(1 - self.bound / self.trace)
 
     @cached_property
     def violation(self) -> Float[ndarray, "*B"]:
@@ -62,7 +62,7 @@ class FusionWeights(_ReadOnly):
         white = root.mT @ slack @ root
         finite = np.asarray(np.isfinite(white).all(axis=(-1, -2)))
         least = np.linalg.eigvalsh(np.where(finite[..., None, None], white, 0.0))[..., 0]
-        return np.where(finite, np.maximum(-least, 0.0), np.nan)
+        return np.asarray(np.where(finite, np.maximum(-least, 0.0), np.nan))
 
     @cached_property
     def ok(self) -> Bool[ndarray, "*B"]:
