@@ -1,5 +1,7 @@
 """Measure: steady states, error dynamics, performance, observability."""
 
+from tolnet.analysis.channel_filters import follow_window
+from tolnet.analysis.corrupted_simulation import CHANNEL_FILTERS, channel_filters, simulate_corrupted
 from tolnet.analysis.data import Record, tolerance_from_data
 from tolnet.analysis.detectability import Detectability, detectability
 from tolnet.analysis.divergence import gamma
@@ -16,16 +18,20 @@ from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady
 from tolnet.analysis.trajectories import simulate_least_favourable
 
 __all__ = [
+    "CHANNEL_FILTERS",
     "Detectability",
     "Record",
+    "channel_filters",
     "detectability",
     "error_dynamics",
     "evaluate_filters",
     "follow_filters",
+    "follow_window",
     "gamma",
     "least_favourable_model",
     "local_tolerances",
     "published_bound",
+    "simulate_corrupted",
     "simulate_filters",
     "simulate_least_favourable",
     "solve_fusion_weights",

@@ -7,6 +7,7 @@ believes in: one path of channel noise in front, or one a run.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -117,6 +118,51 @@ class DrkfSwf(Drkf):
 
     def _fuse(self, k: int, current: Received) -> Fused:
         return self.sliding.fuse(k, current)
+
+
+class WindowHistory(NamedTuple):
+    """The covariances of DRKF-SWF over time, which need no data where the noise on matrices is given."""
+
+    node_trace: Float[ndarray, "T1 N"]
+    """tr P_{k,i}."""
+    P: Float[ndarray, "N n n"]
+    """At the end."""
+    solved: dict[int, tuple[Int[ndarray, " d"], Float[ndarray, "d l"]]]
+    """Of every node that solved, the last time: its rows of network.pairs, and the weights by age of what came."""
+    solves: int
+    fallbacks: int
+
+
+def follow_window(
+    network: CorruptedNetwork,
+    steps: int,
+    window: int | Int[ndarray, " N"] | None = None,
+    interval: int | Int[ndarray, " N"] | None = None,
+    *,
+    step_done: Callable[[int], None] | None = None,
+) -> WindowHistory:
+    """Follow P_{k,i} of DRKF-SWF over `steps` steps with a clean channel, whose bounds are in force all the same.
+
+    `window` and `interval` as in DrkfSwf; an interval of 0 is Algorithm 1.
+    Source: eqs. (13)-(18); docs/mathematics.md, section 13.7.
+    """
+    each = DrkfSwf(network, 1, window, interval)
+    E, n, M = len(network.pairs), network.n, int(network.rows[-1])
+    nothing = np.zeros(n)[None], np.zeros((1, M)), np.zeros((1, E, n)), np.zeros((1, E, n, n))
+    node_trace = np.empty((steps + 1, network.N))
+    solved: dict[int, tuple[ndarray, ndarray]] = {}
+    assert each.P is not None
+    node_trace[0] = np.trace(each.P[0], axis1=1, axis2=2)
+    for k, moment in enumerate(moments(network, steps), start=1):
+        each.step(moment, CorruptedInstant(k, *nothing))
+        node_trace[k] = np.trace(each.P[0], axis1=1, axis2=2)
+        for group in each.sliding.solved:
+            for number, node in enumerate(group.nodes.tolist()):
+                if group.accepted[0, number]:
+                    solved[node] = group.pairs[number], group.weights[0, number]
+        if step_done is not None:
+            step_done(k)
+    return WindowHistory(node_trace, each.P[0], solved, each.sliding.solves, each.sliding.fallbacks)
 
 
 def correct(

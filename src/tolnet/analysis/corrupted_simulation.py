@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
 from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, DseaCp
-from tolnet.analysis.corrupted_truth import walk_corrupted
+from tolnet.analysis.corrupted_truth import Truth, walk_corrupted
 from tolnet.model import CorruptedNetwork, UnsupportedError
 from tolnet.model.corrupted_simulation import CorruptedSimulation
 
@@ -72,8 +72,9 @@ def simulate_corrupted(
         if progress is not None:
             progress(done, runs)
     assert sums is not None
+    beyond = tuple(Truth(network).beyond_bounds())
     return {
-        name: total.summary(CHANNEL_FILTERS[name], shared_path, runs, steps, seed)
+        name: total.summary(CHANNEL_FILTERS[name], beyond, shared_path, runs, steps, seed)
         for name, total in zip(names, sums, strict=True)
     }
 
@@ -97,6 +98,7 @@ class _Sums:
     P: Float[ndarray, "T1 K n n"]
     inside: Float[ndarray, "T1 K"]
     distance: Float[ndarray, "T1 K"]
+    squared_distance: Float[ndarray, "T1 K"]
     means: Float[ndarray, " T1"]
     squared_means: Float[ndarray, " T1"]
     alive: Float[ndarray, " T1"]
@@ -113,7 +115,13 @@ class _Sums:
         return _Sums(*(mine + its for mine, its in zip(vars(self).values(), vars(other).values(), strict=True)))
 
     def summary(
-        self, kind: type[ChannelFilter], shared: bool, runs: int, steps: int, seed: int
+        self,
+        kind: type[ChannelFilter],
+        beyond: tuple[str, ...],
+        shared: bool,
+        runs: int,
+        steps: int,
+        seed: int,
     ) -> CorruptedSimulation:
         """Means over the runs that are left; NaN where none is."""
         n = self.runs if self.runs else np.nan
@@ -125,12 +133,14 @@ class _Sums:
             node_error=self.errors / n,
             node_P=self.P / np.where(self.alive > 0, self.alive, np.nan)[:, None, None, None],
             node_consistency=self.inside / n,
-            node_nees=self.distance / n,
+            node_nees=self.distance / n / self.errors.shape[-1],
+            node_spread=np.sqrt(self.squared_distance / n / n),
             standard_error=np.sqrt(variance / max(self.runs - 1, 1)),
             growth=self._growth(steps),
             diverged=self.diverged,
             solves=self.solves,
             fallbacks=self.fallbacks,
+            beyond_bounds=beyond,
             shared=shared,
             runs=runs,
             steps=steps,
@@ -216,7 +226,7 @@ class _Record:
             return
         every = len(P) == len(self.good)
         self.P[k] = P[self.good].sum(axis=0) if every else P[0] * self.alive[k]
-        finite = np.isfinite(P).all(axis=(2, 3))
+        finite = np.asarray(np.isfinite(P).all(axis=(2, 3)))
         values, U = np.linalg.eigh(np.where(finite[..., None, None], P, 0.0))
         along = (U.mT @ self.e[k][..., None])[..., 0] ** 2 / values
         positive = finite & (values[..., 0] > 0)
@@ -234,7 +244,8 @@ class _Record:
             errors=np.einsum("trki,trkj->tkij", e, e, optimize=True),
             P=self.P,
             inside=inside.sum(axis=1),
-            distance=distance.sum(axis=1) / e.shape[-1],
+            distance=distance.sum(axis=1),
+            squared_distance=(distance**2).sum(axis=1),
             means=each.sum(axis=1),
             squared_means=(each**2).sum(axis=1),
             alive=self.alive,

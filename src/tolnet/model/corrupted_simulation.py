@@ -35,6 +35,8 @@ class CorruptedSimulation(_ReadOnly):
     """Share of runs in which the error lies in the 95 % ellipsoid of the filter's own P."""
     node_nees: Float[ndarray, "T1 K"]
     """Mean of e' P^-1 e / n: 1 for an exact covariance, less for a bound; infinite where some P had lost its sign."""
+    node_spread: Float[ndarray, "T1 K"]
+    """Root of the mean of (e' P^-1 e)^2, over that of the number of runs."""
     standard_error: Float[ndarray, " T1"]
     """Of `mse`, from the spread between runs."""
     growth: float
@@ -45,6 +47,8 @@ class CorruptedSimulation(_ReadOnly):
     """Fusion problems that were solved."""
     fallbacks: int
     """How many of them Algorithm 1 had to answer."""
+    beyond_bounds: tuple[str, ...]
+    """What was simulated larger than the filters believe it can be."""
     shared: bool
     """Whether all runs met one path of noise on matrices, so that P bounds each conditional covariance."""
     runs: int
@@ -94,23 +98,28 @@ class CorruptedSimulation(_ReadOnly):
         NaN where there is no positive definite P.
         """
         found = np.full(self.node_mse.shape, np.nan)
-        usable = np.isfinite(self.node_P).all(axis=(2, 3)) & np.isfinite(self.node_error).all(axis=(2, 3))
+        usable = np.asarray(np.isfinite(self.node_P + self.node_error).all(axis=(2, 3)))
         usable[usable] = np.linalg.eigvalsh(self.node_P[usable])[:, 0] > 0
         if usable.any():
             root = np.linalg.inv(np.linalg.cholesky(self.node_P[usable]))
             found[usable] = np.linalg.eigvalsh(root @ self.node_error[usable] @ root.mT)[:, -1]
         return found
 
-    def margin(self, doubt: float = 1e-3) -> float:
-        """How far above 1 chance lifts the largest of all `excess` with probability `doubt` at most.
+    def margin(self, doubt: float = 1e-3) -> Float[ndarray, "T1 K"]:
+        """How far chance may lift `excess` above 1, with probability `doubt` at most over all nodes and instants.
 
-        For Gaussian errors whose covariance is P, P(sqrt(excess) >= 1 + sqrt(n / runs) + t) <= exp(-runs t^2 / 2) at
-        each node and instant (Davidson and Szarek); summed over all of them.
+        z sqrt(E d^2 / runs), d = e' P^-1 e, z the normal quantile of doubt over the number of nodes and instants: no
+        direction's square varies more than d does. E d^2 is measured, so that heavy tails count.
         """
-        T1, K, n = self.node_error.shape[:3]
-        runs = max(self.runs - self.diverged, 1)
-        t = np.sqrt(2 * np.log(T1 * K / doubt) / runs)
-        return float((1 + np.sqrt(n / runs) + t) ** 2 - 1)
+        from scipy.special import ndtri
+
+        return -float(ndtri(doubt / self.node_mse.size)) * self.node_spread
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether some sample covariance exceeds P by more than chance allows."""
+        with np.errstate(invalid="ignore"):
+            return bool((self.excess > 1 + self.margin()).any())
 
     @property
     def grows(self) -> bool:
