@@ -2,6 +2,8 @@
 
 from tolnet.design.diffusion import diffusion_matrix
 from tolnet.design.export import export_table, read_table
+from tolnet.design.fusion_weights import choose_fusion_weights
 from tolnet.design.tolerances import choose_tolerances
+from tolnet.design.window import choose_window
 
-__all__ = ["choose_tolerances", "diffusion_matrix", "export_table", "read_table"]
+__all__ = ["choose_fusion_weights", "choose_tolerances", "choose_window", "diffusion_matrix", "export_table", "read_table"]

@@ -7,6 +7,7 @@ from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
 from tolnet.model.fusion import FUSION_RULES
+from tolnet.model.fusion_weights import FusionWeights
 from tolnet.model.graph import DIFFUSION_RULES
 from tolnet.model.network import SensorNetwork
 from tolnet.model.reading import load, parse
@@ -26,6 +27,7 @@ __all__ = [
     "Convention",
     "CorruptedNetwork",
     "ErrorDynamics",
+    "FusionWeights",
     "InputError",
     "LeastFavourableModel",
     "LooseBoundWarning",
