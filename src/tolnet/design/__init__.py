@@ -3,5 +3,14 @@
 from tolnet.design.diffusion import diffusion_matrix
 from tolnet.design.export import export_table, read_table
 from tolnet.design.tolerances import choose_tolerances
+from tolnet.design.weights.admissible import Constraints
+from tolnet.design.weights.optimise import optimise_diffusion
 
-__all__ = ["choose_tolerances", "diffusion_matrix", "export_table", "read_table"]
+__all__ = [
+    "Constraints",
+    "choose_tolerances",
+    "diffusion_matrix",
+    "export_table",
+    "optimise_diffusion",
+    "read_table",
+]

@@ -1,6 +1,7 @@
 """The vocabulary: networks, problem files, and the results that travel between the rooms."""
 
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
+from tolnet.model.diffusion import OBJECTIVES, DecayCertificate, Diffusion, Elsewhere, GainTable, Start
 from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
@@ -16,15 +17,21 @@ from tolnet.model.writing import save
 __all__ = [
     "CONVENTIONS",
     "DIFFUSION_RULES",
+    "OBJECTIVES",
     "Ambiguity",
     "Complaint",
     "Convention",
+    "DecayCertificate",
+    "Diffusion",
+    "Elsewhere",
     "ErrorDynamics",
+    "GainTable",
     "InputError",
     "LeastFavourableModel",
     "Performance",
     "SensorNetwork",
     "ShapeError",
+    "Start",
     "Status",
     "SteadyState",
     "ToleranceLimits",
