@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -148,6 +149,35 @@ class SensorNetwork:
             return cls(**arguments_of_mat(data))
         except InputError as error:
             raise type(error)(error.complaints, source=str(path)) from None
+
+    def reweighted(self, W: sparse.csr_array | ndarray) -> SensorNetwork:
+        """The same network with W as its diffusion, bit for bit otherwise; it was loaded from no file.
+
+        Raises InputError unless W is a matrix of weights on this graph, eq. (11).
+        """
+        complaints = Complaints()
+        diffusion = parse_diffusion(W, self.adjacency, complaints)
+        complaints.raise_if_any()
+        other = copy.copy(self)
+        object.__setattr__(other, "diffusion", diffusion)
+        object.__setattr__(other, "digest", None)
+        return other
+
+    def relinked(self, links: Int[ndarray, "E 2"]) -> SensorNetwork:
+        """The same network on other links [from, to], loaded from no file; W of its own gives way to the default rule.
+
+        Raises InputError for links that are no links of these nodes.
+        """
+        complaints = Complaints()
+        directed, graph = parse_adjacency(None, links, self.directed, self.N, complaints)
+        complaints.raise_if_any()
+        other = copy.copy(self)
+        for name in ("degree", "_heard", "information"):
+            other.__dict__.pop(name, None)
+        rule = self.diffusion if isinstance(self.diffusion, str) else DIFFUSION_RULES[0]
+        for name, value in {"adjacency": graph, "directed": directed, "diffusion": rule, "digest": None}.items():
+            object.__setattr__(other, name, value)
+        return other
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Copies and unpickled networks are as read-only as the first."""

@@ -109,18 +109,20 @@ class Admissible:
 def make_admissible(columns: Columns, w: Float[ndarray, " L"], *, symmetric: bool = False) -> sparse.csr_array:
     """The last step of every design: weights below zero set to zero, columns divided by their sums.
 
-    Symmetric weights are averaged over the two directions of a link first, and w_kk is what the others leave, where
-    dividing would break the symmetry. Entries outside the graph do not exist here. The sums are those of the doubles
-    that are returned: within rounding of one.
+    Symmetric weights are averaged over the two directions of a link, scaled down where some column would exceed one,
+    and w_kk is what the others leave: dividing would break the symmetry. Entries outside the graph do not exist here.
+    The sums of the doubles that are returned are within rounding of one.
     """
     N = columns.nodes
     w = np.maximum(w, 0.0)
     W = sparse.csr_array(sparse.coo_array((w, (columns.sender, columns.hearer)), shape=(N, N)))
     if symmetric:
-        W = sparse.csr_array((W + W.T) / 2)
-        others = sparse.csr_array(W - sparse.diags_array(W.diagonal()))
+        others = sparse.csr_array((W + W.T) / 2)
+        others = sparse.csr_array(others - sparse.diags_array(others.diagonal()))
+        others = others / max(1.0, float(np.max(others.sum(axis=0), initial=0.0)))
         W = sparse.csr_array(others + sparse.diags_array(np.maximum(1.0 - np.asarray(others.sum(axis=0)), 0.0)))
-    W = sparse.csr_array(W @ sparse.diags_array(1.0 / np.asarray(W.sum(axis=0)))) if not symmetric else W
+    else:
+        W = sparse.csr_array(W @ sparse.diags_array(1.0 / np.asarray(W.sum(axis=0))))
     W.sum_duplicates()
     W.eliminate_zeros()
     return W

@@ -42,8 +42,10 @@ from tolnet.model import (
 Objective = Literal["msd", "worst", "robust", "decay", "mixing"]
 Method = Literal["auto", "quasi-newton", "ipopt"]
 
-_ALL_STARTS_UP_TO = 150
-"""Nodes up to which the search goes on from every start; beyond, from the best only: a gradient takes seconds."""
+_STARTS = ((50, 20), (150, 3))
+"""Up to so many nodes the search goes on from so many of the best starts; beyond, from the best alone."""
+_STARTS_OF_MAXIMA = 3
+"""The same for a largest value, which takes several searches a start."""
 _SDP_STARTS_UP_TO = 40
 """Nodes up to which the designs by semidefinite programming are among the starts."""
 _ELSEWHERE = (("nominal", 0.0), ("half of c", 0.5), ("twice c", 2.0))
@@ -224,7 +226,8 @@ def _by_msd(
         return _without_performance(at, objective, lacking.status, lacking.reason)
     problem = MsdObjective(scenarios, criterion, gains=with_gains)
     starts = _starts(at)
-    most = len(starts) if network.N <= _ALL_STARTS_UP_TO else 1
+    most = next((count for size, count in _STARTS if network.N <= size), 1)
+    most = most if problem.plain or with_gains else min(most, _STARTS_OF_MAXIMA)
     d = at.constraints.max_neighbours
     if at.constraints.symmetric or method == "ipopt":
         found = search_general(problem, among, starts, symmetric=at.constraints.symmetric, watch=watch)
@@ -251,7 +254,7 @@ def _starts(at: _Setting) -> dict[str, Float[ndarray, " L"]]:
     if 1 < network.N <= _SDP_STARTS_UP_TO:
         rules = {name: _links(W, columns) for name, W in matrices.items()}
         plain = Constraints(own_weight=at.constraints.own_weight)
-        matrices["decay"] = design_decay(Admissible.of(columns, plain), _loops(at.table), rules, _silent).W
+        matrices["decay"] = design_decay(Admissible.of(columns, plain), local_loops(at.table), rules, _silent).W
         if is_connected(network):
             matrices["mixing"] = design_mixing(network, Admissible.of(columns, plain), plain).W
     return {name: _links(W, columns) for name, W in matrices.items()}
@@ -265,7 +268,7 @@ def _links(W: sparse.csr_array, columns: Columns) -> Float[ndarray, " L"]:
     return np.asarray(W[columns.sender, columns.hearer], dtype=float).ravel()
 
 
-def _loops(table: ToleranceTable) -> Float[ndarray, "N n n"]:
+def local_loops(table: ToleranceTable) -> Float[ndarray, "N n n"]:
     """M_k = A (I + V_k S_k)^-1."""
     eye = np.eye(table.network.n)
     return table.network.A @ np.linalg.solve(eye + table.local.V @ table.local.S, np.broadcast_to(eye, table.local.V.shape))
@@ -374,7 +377,7 @@ def _by_decay(at: _Setting, watch: Watch) -> Diffusion:
         except UnsupportedError:
             continue
     starts[at.rule] = _links(at.baseline, columns)
-    design = design_decay(at.among, _loops(table), starts, watch)
+    design = design_decay(at.among, local_loops(table), starts, watch)
     rates = [Start(name, rate, float("nan")) for name, rate in design.starts.items()]
     told = _plain(
         at,

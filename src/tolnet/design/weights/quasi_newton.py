@@ -27,7 +27,7 @@ _INNER = 60
 _ENOUGH = 1e-4
 """A step must gain this part of what the gradient promises."""
 _SHORTEST = 1e-6
-_NEGLIGIBLE = 1e-8
+_NEGLIGIBLE = 1e-4
 """A step within the model that promises less than this part of its first one is its last."""
 
 
