@@ -21,7 +21,9 @@ from numpy import ndarray
 from scipy import sparse
 
 _FLOOR = 1e-9
-"""Curvature below this part of the largest counts as that much: a node that nobody listens to has none."""
+"""An adjoint below this part of the largest counts as that much: a node that nobody listens to has none."""
+_LEAST = 1e-2
+"""The same for the scale of a column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +175,7 @@ class Curvature:
     def scale(self) -> Float[ndarray, " K"]:
         """At least the largest eigenvalue of each column's model."""
         bound = np.abs(self.weights).sum(axis=2).max(axis=1)
-        return np.maximum(bound, _FLOOR * bound.max(initial=0.0) + np.finfo(float).tiny)
+        return np.maximum(bound, _LEAST * bound.max(initial=0.0) + np.finfo(float).tiny)
 
     def times(self, v: Float[ndarray, " z"]) -> Float[ndarray, " z"]:
         """The model's second derivative times v."""

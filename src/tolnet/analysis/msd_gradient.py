@@ -34,6 +34,10 @@ from tolnet.model.worst_case import standard_deviations
 _MOST_DOUBLINGS = 40
 _SETTLED = 1e-14
 """Relative size of a doubling's terms at which to stop."""
+_LARGE, _FIRST_GLANCE = 300, 4
+"""From this dimension on, and after so many doublings, a low rank is looked for."""
+_LOW_RANK, _COLUMNS = 1e-9, 50
+"""What may be left of a power, relatively, in this many of its columns."""
 
 
 class _Unmixed(NamedTuple):
@@ -46,11 +50,19 @@ class _Unmixed(NamedTuple):
     H: Float[ndarray, "d c"]
 
 
+class _Powers(NamedTuple):
+    """F, F^2, F^4, ... and, where the next power T of F is numerically of low rank, its range: F^T = V B."""
+
+    doubled: Sequence[Float[ndarray, "d d"]]
+    V: Float[ndarray, "d r"]
+    B: Float[ndarray, "r d"]
+
+
 class _Solved(NamedTuple):
     """Q of one group of states, and the powers F, F^2, F^4, ... that its sum was made of."""
 
     Q: Float[ndarray, "d d"]
-    powers: Sequence[Float[ndarray, "d d"]]
+    powers: _Powers
     unmixed: _Unmixed
 
 
@@ -79,14 +91,14 @@ class Errors(NamedTuple):
         for Q, powers, unmixed in self.parts:
             n = unmixed.loops.shape[1]
             D = _mixed(self.mixing, _mixed(self.mixing, unmixed.D, n).T, n)
-            defect = powers[0] @ Q @ powers[0].T + D - Q
+            defect = powers.doubled[0] @ Q @ powers.doubled[0].T + D - Q
             worst = max(worst, float(np.linalg.norm(defect) / np.linalg.norm(Q)))
         return worst
 
     @property
     def radius(self) -> float:
         """Spectral radius of the block of F that the filters make."""
-        blocks = (powers[0][: len(unmixed.loops) * unmixed.loops.shape[1]] for _, powers, unmixed in self.parts)
+        blocks = (powers.doubled[0][: len(unmixed.loops) * unmixed.loops.shape[1]] for _, powers, unmixed in self.parts)
         return float(max(np.abs(np.linalg.eigvals(F[:, : len(F)])).max() for F in blocks))
 
 
@@ -293,30 +305,61 @@ def _times_unmixed(unmixed: _Unmixed, X: Float[ndarray, "d m"]) -> Float[ndarray
 
 def _squared_smith(
     F: Float[ndarray, "d d"], D: Float[ndarray, "d d"]
-) -> tuple[Float[ndarray, "d d"], list[Float[ndarray, "d d"]]] | None:
-    """X = F X F' + D by doubling, and the powers that it took; None where F is not Schur."""
-    X, A, powers = D, F, []
+) -> tuple[Float[ndarray, "d d"], _Powers] | None:
+    """X = F X F' + D by doubling, and the powers that it took; None where F is not Schur.
+
+    Large F forget differences between neighbours soon: once F^T = V B is of low rank, X = X_T + V S V' with the small
+    equation S = (B V) S (B V)' + B X_T B'.
+    """
+    X, A, doubled = D, F, []
+    none = np.zeros((len(F), 0))
     with np.errstate(over="ignore", invalid="ignore"):
-        while len(powers) < _MOST_DOUBLINGS:
-            powers.append(A)
+        while len(doubled) < _MOST_DOUBLINGS:
+            if len(F) >= _LARGE and len(doubled) >= _FIRST_GLANCE and np.isfinite(A).all():
+                found = _low_rank(A)
+                if found is not None:
+                    V, B = found
+                    small = _squared_smith(B @ V, _symmetric(B @ X @ B.T))
+                    return None if small is None else (X + V @ small[0] @ V.T, _Powers(doubled, V, B))
+            doubled.append(A)
             more = A @ X @ A.T
-            X = X + (more + more.T) / 2  # rounding only: the exact sum is symmetric
+            X = X + _symmetric(more)
             size = np.linalg.norm(X)
             if not np.isfinite(size):
                 return None
             if np.linalg.norm(more) <= _SETTLED * size:
-                return X, powers
+                return X, _Powers(doubled, none, none.T)
             A = A @ A
     return None
 
 
-def _adjoint(powers: Sequence[Float[ndarray, "d d"]], C: Float[ndarray, "d d"]) -> Float[ndarray, "d d"]:
+def _low_rank(A: Float[ndarray, "d d"]) -> tuple[Float[ndarray, "d r"], Float[ndarray, "r d"]] | None:
+    """V with orthonormal columns and B with A = V B to rounding, if d / 4 columns are enough."""
+    d = len(A)
+    V = np.linalg.qr(A @ np.random.default_rng(5).normal(size=(d, d // 4)))[0]
+    B = V.T @ A
+    lost = np.linalg.norm(A, axis=0) ** 2 - np.linalg.norm(B, axis=0) ** 2
+    defect = A[:, :_COLUMNS] - V @ B[:, :_COLUMNS]
+    good = np.linalg.norm(defect) <= _LOW_RANK * np.linalg.norm(A[:, :_COLUMNS])
+    return (V, B) if good and lost.max() <= 1e-12 * float((A**2).sum()) else None
+
+
+def _adjoint(powers: _Powers, C: Float[ndarray, "d d"]) -> Float[ndarray, "d d"]:
     """Y = F' Y F + C, from the powers of F."""
     Y = C
-    for A in powers:
-        more = A.T @ Y @ A
-        Y = Y + (more + more.T) / 2  # rounding only
+    for A in powers.doubled:
+        Y = Y + _symmetric(A.T @ Y @ A)
+    V, B = powers.V, powers.B
+    if V.shape[1]:
+        small = _squared_smith((B @ V).T, _symmetric(V.T @ Y @ V))
+        assert small is not None  # the transpose of what was Schur before
+        Y = Y + B.T @ small[0] @ B
     return Y
+
+
+def _symmetric(X: Float[ndarray, "d d"]) -> Float[ndarray, "d d"]:
+    """Rounding only: the exact matrix is symmetric."""
+    return (X + X.T) / 2
 
 
 def _gain_gradient(

@@ -22,7 +22,7 @@ from tolnet.model import Start
 
 _TOLERANCE = 1e-7
 _MOST = 400
-_STARTS = 4
+_STARTS = 2
 """The best starts that IPOPT goes on from: it needs several times the gradients of the quasi-Newton method."""
 _NEARLY = 1e-8
 """How far a point may break a bound and still be offered: the last step repairs that much."""
@@ -163,7 +163,15 @@ def _run(
     size = len(u)
     scale, _ = objective.value(unknowns.weights(u))
 
+    latest: list[tuple[ndarray, tuple[float, Any]]] = []
+
     def value_of(x: ndarray) -> tuple[float, Any]:
+        if latest and np.array_equal(latest[0][0], x):  # the gradient is asked for where the value was
+            return latest[0][1]
+        latest[:] = [(x.copy(), evaluate(x))]
+        return latest[0][1]
+
+    def evaluate(x: ndarray) -> tuple[float, Any]:
         w = unknowns.weights(x)
         value, at = objective.value(w)
         found.evaluations += 1
