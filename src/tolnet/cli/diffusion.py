@@ -263,9 +263,7 @@ def _more(
         from tolnet.design.weights.topology import add_links as rank_links
 
         with console.progress("links") as progress:
-            links = rank_links(
-                found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say
-            )
+            links = rank_links(found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say)
         if links[-1].interrupted:
             console.note("interrupted: these are the links that were found so far")
     return rivals, links
@@ -319,9 +317,7 @@ def _write(found: Diffusion, document: dict, path: Path) -> None:
             write(path, [render(document)])
 
 
-def _next_commands(
-    problem: str, options: str, found: Diffusion, outputs: list[Path], compare: bool
-) -> Iterator[str]:
+def _next_commands(problem: str, options: str, found: Diffusion, outputs: list[Path], compare: bool) -> Iterator[str]:
     designed = [path for path in outputs if path.suffix.lower() == ".toml"]
     if designed:
         yield f"tolnet performance {shlex.quote(str(designed[0]))}{options}"

@@ -200,7 +200,13 @@ def _values(found: Diffusion) -> Table:
     table = empty_table(["weights", *head], words=("weights",))
     rows = [
         (found.baseline_rule, found.baseline, 0.0, found.baseline_msd, float("nan")),
-        ("optimised" + (" with gains" if found.gains is not None else ""), found.value, found.gap_closed, found.msd, found.spectral_radius),
+        (
+            "optimised" + (" with gains" if found.gains is not None else ""),
+            found.value,
+            found.gap_closed,
+            found.msd,
+            found.spectral_radius,
+        ),
         ("bound", found.bound, 1.0, found.msd_bound, float("nan")),
     ]
     for name, value, closed, msd, radius in rows:
@@ -225,7 +231,9 @@ def _moved(found: Diffusion) -> Table | None:
         return None
     change = 10 * np.log10(after / before)
     order = np.argsort(-np.abs(change), kind="stable")[:_ROWS]
-    table = empty_table(["node", "MSD before", "MSD after", "change [dB]", "own weight", "neighbours in use"], words=())
+    table = empty_table(
+        ["node", "MSD before", "MSD after", "change [dB]", "own weight", "neighbours in use"], words=()
+    )
     own = found.W.diagonal()
     used = np.diff(found.W.tocsc().indptr)
     degree = found.table.network.degree

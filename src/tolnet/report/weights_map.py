@@ -64,11 +64,15 @@ def _draw_weights(axes: Axes, found: Diffusion, xy: Float[ndarray, "N 2"]) -> No
     w = np.asarray(found.W[l, k]).ravel()
     idle = w < _NEGLIGIBLE
     unused = np.stack([xy[l[idle]], xy[k[idle]]], axis=1)
-    axes.add_collection(LineCollection(list(unused), colors=LINKS, linewidths=0.7, linestyles=":", alpha=0.8, zorder=1))
+    axes.add_collection(
+        LineCollection(list(unused), colors=LINKS, linewidths=0.7, linestyles=":", alpha=0.8, zorder=1)
+    )
     if len(w) > _ARROWS_UP_TO:
         used = np.stack([xy[l[~idle]], xy[k[~idle]]], axis=1)
         axes.add_collection(
-            LineCollection(list(used), colors=AFTER, linewidths=_WIDEST * w[~idle], alpha=0.5, zorder=2, rasterized=True)
+            LineCollection(
+                list(used), colors=AFTER, linewidths=_WIDEST * w[~idle], alpha=0.5, zorder=2, rasterized=True
+            )
         )
         return
     for weight, start, end in zip(w[~idle], xy[l[~idle]], xy[k[~idle]], strict=True):

@@ -42,7 +42,7 @@ from tolnet.model import (
 Objective = Literal["msd", "worst", "robust", "decay", "mixing"]
 Method = Literal["auto", "quasi-newton", "ipopt"]
 
-_STARTS = ((50, 20), (150, 3))
+_STARTS = ((50, 20), (150, 2))
 """Up to so many nodes the search goes on from so many of the best starts; beyond, from the best alone."""
 _STARTS_OF_MAXIMA = 3
 """The same for a largest value, which takes several searches a start."""
