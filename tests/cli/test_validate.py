@@ -39,7 +39,7 @@ def test_a_right_file_says_what_is_in_it(tolnet: Tolnet, ring: Path):
     text = " ".join(ran.out.split())
     for fact in (
         "n = 6 states, every 0.1 s",
-        "N = 20 nodes, 40 links; each hears 5 to 5 nodes, itself included, mean 5",
+        "N = 20 nodes, 40 links; each hears 5, itself included, mean 5",
         "3 outputs a node, 60 in all; 0 relays",
         "diffusion relative-degree",
         "c = 0.02 (gamma)",

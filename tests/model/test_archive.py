@@ -140,6 +140,20 @@ def test_bad_archives(tmp_path, data, message):
         model.load(problem(tmp_path, data))
 
 
+def test_edges_in_two_places(tmp_path):
+    np.savez(tmp_path / "a.npz", allow_pickle=False, **GOOD)
+    links = GOOD["edges"].tolist()
+    problem = {
+        "schema": "tolnet.problem/1",
+        "arrays": "a.npz",
+        "plant": {"A": [[0.5]], "B": [[1.0]]},
+        "network": {"nodes": 4, "edges": links},
+    }
+    with pytest.raises(InputError, match="network has both edges and edges in the archive; exactly one") as caught:
+        model.parse(problem, tmp_path)
+    assert len(caught.value.complaints) == 1
+
+
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [

@@ -80,6 +80,8 @@ FAULTS: list[tuple[tuple[Any, ...], Any, str, str]] = [
     (("plant", "states"), ["v"] * 5 + ["\n"], "plant.states[5]", "text without control characters was expected"),
     (("plant", "dt"), 0.0, "plant.dt", "is 0.0; a number > 0 was expected"),
     (("network", "nodes"), 21, "network.nodes", "is 21; there are 20 sensors"),
+    (("network", "nodes"), 19, "network.nodes", "is 19; there are 20 sensors"),
+    (("network", "graphml"), "none.graphml", "network", "has both edges and graphml; exactly one was expected"),
     (("network", "nodes"), 0, "network.nodes", "is 0; a number >= 1 was expected"),
     (("network", "nodes"), 20.0, "network.nodes", "is 20.0; a whole number was expected"),
     (("network", "edges", 4), [1, 20], "network.edges[4]", "is [1, 20]; nodes are numbered from 0 to 19"),
@@ -208,6 +210,46 @@ def test_what_is_wrong_with_weights(good):
     W[[0, 1], 0] = [1.0, 0.0]
     found = {c.key: c.message for c in complaints_about(changed(good, (("diffusion",), {"weights": W.tolist()})))}
     assert found["diffusion.weights"] == "has column 7 summing to 1.000001; 1 was expected"
+
+
+WEIGHTS = {"weights": np.full((20, 20), 1 / 20).tolist()}
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "keys"),
+    [
+        (("network", "edges", 4), [1, 20], ["network.edges[4]"]),
+        (("network", "edges", 4), [1, "x"], ["network.edges[4][1]"]),
+        (("network", "edges"), [[1], [2]], ["network.edges[0]"]),
+        (("network",), {"nodes": 20}, ["network"]),
+        (("network",), {"nodes": 20, "graphml": "none.graphml"}, ["network.graphml"]),
+        (("network",), {"nodes": 3, "edges": [[0, 1], [2, 99]], "names": ["a"]}, ["network.nodes"]),
+    ],
+)
+def test_what_hangs_on_a_broken_graph_is_not_blamed(good, place, value, keys):
+    found = complaints_about(changed(good, (place, value), (("diffusion",), WEIGHTS)))
+    assert [complaint.key for complaint in found] == keys
+
+
+def test_strangers_and_repeats_are_told_together(good):
+    edges = [[0, 1], [0, 20], [2, 3], [0, 20], [3, 2], [1, 0]]
+    found = complaints_about(changed(good, (("network", "edges"), edges)))
+    assert [(each.key, each.message) for each in found] == [
+        ("network.edges[1]", "is [0, 20]; nodes are numbered from 0 to 19"),
+        ("network.edges[3]", "is [0, 20]; nodes are numbered from 0 to 19"),
+        ("network.edges[4]", "is [3, 2], which edges[2] already gave"),
+        ("network.edges[5]", "is [1, 0], which edges[0] already gave"),
+    ]
+
+
+def test_one_is_no_plural(good):
+    found = complaints_about(changed(good, (("sensors",), good["sensors"][:1])))
+    assert [(each.key, each.message) for each in found] == [("network.nodes", "is 20; there is 1 sensor")]
+
+
+def test_a_missing_schema_is_told_with_the_line_to_write(good):
+    mapping = {key: value for key, value in good.items() if key != "schema"}
+    assert complaints_about(mapping)[0].message == "is missing; schema = 'tolnet.problem/1' was expected"
 
 
 def test_a_column_may_miss_one_by_rounding(good):

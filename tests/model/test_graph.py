@@ -72,6 +72,30 @@ def test_nodes_stand_in_the_order_of_the_graph():
     assert own.names == ("z", "a", "m")
 
 
+@pytest.mark.parametrize("kind", [int, np.int64, str])
+def test_nodes_that_are_numbers_stand_in_rising_order(kind):
+    graph = networkx.DiGraph([(kind(2), kind(10)), (kind(0), kind(2))])  # networkx itself keeps 2, 10, 0
+    networkx.set_node_attributes(graph, {kind(k): (float(k), 0.0) for k in (0, 2, 10)}, "pos")
+    own = network(adjacency=graph)
+    assert own.links.tolist() == [[0, 1], [1, 2]]
+    assert own.names == ("0", "2", "10")
+    assert own.positions is not None
+    assert own.positions[:, 0].tolist() == [0.0, 2.0, 10.0]
+
+
+@pytest.mark.parametrize("kind", [int, str])
+def test_numbers_that_are_places_are_no_names(kind):
+    own = network(adjacency=networkx.Graph([(kind(2), kind(1)), (kind(1), kind(0))]))
+    assert own.links.tolist() == [[0, 1], [1, 2]]
+    assert own.names is None
+
+
+@pytest.mark.parametrize("nodes", [["2", "01", "0"], ["2", "-1", "0"], ["2", "1 ", "0"], [2, True, "a"], [2, 1.0, 0]])
+def test_other_nodes_are_not_sorted(nodes):
+    own = network(adjacency=networkx.DiGraph([nodes[:2], nodes[1:]]))
+    np.testing.assert_array_equal(own.adjacency.toarray(), ONE_WAY)
+
+
 def test_a_graph_brings_positions_and_names():
     graph = networkx.path_graph(3)
     networkx.set_node_attributes(graph, {k: (0.5 * k, 1.0) for k in graph}, "pos")
@@ -203,3 +227,16 @@ def test_graphml_that_contradicts(tmp_path):
         model.load(problem_with(tmp_path, data.replace(b"</graph>", b'<node id="d"/></graph>')))
     with pytest.raises(InputError, match=r"network\.graphml names 'none\.graphml', which does not exist"):
         model.load(problem_with(tmp_path, data, graphml="none.graphml"))
+
+
+def test_graphml_numbers_its_nodes_as_the_sensors_are_numbered(tmp_path):
+    own = model.load(problem_with(tmp_path, graphml(networkx.DiGraph([(2, 1), (0, 2)]), tmp_path)))
+    assert own.links.tolist() == [[0, 2], [2, 1]]
+    assert own.names is None
+
+
+def test_a_long_name_in_graphml_is_cut_short(tmp_path):
+    data = HEAD + NODES + b'<edge source="a" target="' + b"q" * 9999 + b'"/>' + TAIL
+    with pytest.raises(InputError, match="has an edge to the node 'qqq") as caught:
+        model.load(problem_with(tmp_path, data))
+    assert len(str(caught.value)) < 300

@@ -11,7 +11,12 @@ from tolnet.analysis.local_tolerance import local_tolerances
 from tolnet.analysis.lyapunov import solve_lyapunov
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.analysis.simulation import simulate_filters
-from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady_state, solve_steady_states
+from tolnet.analysis.steady_state import (
+    restore_steady_state,
+    solve_local_steady_states,
+    solve_steady_state,
+    solve_steady_states,
+)
 from tolnet.analysis.trajectories import simulate_least_favourable
 
 __all__ = [
@@ -25,6 +30,7 @@ __all__ = [
     "least_favourable_model",
     "local_tolerances",
     "published_bound",
+    "restore_steady_state",
     "simulate_filters",
     "simulate_least_favourable",
     "solve_local_steady_states",

@@ -68,6 +68,38 @@ def solve_local_steady_states(
     )
 
 
+def restore_steady_state(
+    network: SensorNetwork,
+    tolerance: float,
+    P: Float[ndarray, "n n"],
+    V: Float[ndarray, "n n"],
+    theta: float,
+) -> SteadyState:
+    """The centre's steady state from numbers that were stored; nothing is solved, and its residuals say how good it is.
+
+    Radii and iterations, which are not stored, are NaN and 0. Tau is 0.
+    """
+    central = {"P": P, "V": V, "theta": np.asarray(theta)}
+    A, Q, S = network.A, network.Q, network.total_information
+    eye = np.eye(network.n)
+    riccati = A @ np.linalg.solve(eye + V @ S, V) @ A.T + Q - P
+    mismatch = abs(float(gamma(P, theta)) - tolerance) / tolerance if tolerance > 0 else 0.0
+    return SteadyState(
+        A=A,
+        Q=Q,
+        S=S,
+        tolerance=np.asarray(float(tolerance)),
+        tau=0.0,
+        spectral_radius=np.asarray(np.nan),
+        attraction=np.asarray(np.nan),
+        riccati_residual=np.asarray(np.linalg.norm(riccati) / np.linalg.norm(P)),
+        tolerance_residual=np.asarray(mismatch),
+        iterations=np.asarray(0),
+        status=np.asarray(Status.OK.value),
+        **central,
+    )
+
+
 def resolve_ambiguity(network: SensorNetwork, tolerance: float | Ambiguity | None) -> Ambiguity:
     """The ambiguity that a call means: its own, or else the network's."""
     if isinstance(tolerance, Ambiguity):

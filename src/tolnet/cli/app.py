@@ -9,7 +9,18 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import INTERRUPTED, diff, diffusion, example, performance, simulate, table, validate
+from tolnet.cli import (
+    INTERRUPTED,
+    certify,
+    check,
+    diff,
+    diffusion,
+    example,
+    performance,
+    simulate,
+    table,
+    validate,
+)
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -31,6 +42,8 @@ app.command("table")(table.table)
 app.command("performance")(performance.performance)
 app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
+app.command("certify")(certify.certify)
+app.command("check")(check.check)
 app.command("diff")(diff.diff)
 
 

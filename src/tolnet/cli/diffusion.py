@@ -77,6 +77,10 @@ def diffusion(
         Path | None,
         typer.Option(metavar="FILE", help="Draw the weights on the network, and MSD before and after."),
     ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Prove what was designed stable: a certificate for `tolnet check` (.json)."),
+    ] = None,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
@@ -89,6 +93,8 @@ def diffusion(
     console = Console(json=json, quiet=quiet)
     outputs = output or []
     check_outputs(outputs, SUFFIXES, inputs=[problem], plot=plot)
+    if certificate is not None:
+        check_outputs([certificate], [".json"], inputs=[problem, *map(str, outputs)])
     network = open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     constraints = _constraints(network, ambiguity, own_weight, max_neighbours, symmetric)
@@ -117,6 +123,8 @@ def diffusion(
         )
     rivals, links = _more(found, ambiguity, constraints, compare, add_links, console)
     _tell(found, rivals, links, console, outputs, plot)
+    if certificate is not None and found.status != "no-steady-state":
+        _prove(found, ambiguity, certificate, console)
     if found.interrupted:
         console.note("interrupted: these are the best weights so far")
     options = repeated(tolerance=tolerance, convention=convention)
@@ -243,6 +251,16 @@ def _scenarios(
     return tables
 
 
+def _prove(found: Diffusion, ambiguity: Ambiguity, path: Path, console: Console) -> None:
+    """Write the certificate, and say what it proves."""
+    from tolnet.cli.designed import write_certificate
+
+    for verdict in write_certificate(found, ambiguity, path, console):
+        console.show(f"{verdict.verdict}: {verdict.statement}")
+    console.wrote([path])
+    console.suggest(f"tolnet check {shlex.quote(str(path))}")
+
+
 def _more(
     found: Diffusion,
     ambiguity: Ambiguity,
@@ -312,7 +330,7 @@ def _write(found: Diffusion, document: dict, path: Path) -> None:
             with model.replacing(path) as file:
                 np.savez(file, allow_pickle=False, **diffusion_arrays(found))
         case ".toml":
-            model.save(found.table.network.reweighted(found.W), path)
+            model.save(found.table.network.with_diffusion(found.W), path)
         case _:
             write(path, [render(document)])
 

@@ -84,19 +84,23 @@ def _facts(network: SensorNetwork) -> dict[str, Any]:
 def _contents(problem: str, network: SensorNetwork) -> list[str]:
     facts, own = _facts(network), network.ambiguity
     degree, outputs = facts["degree"], facts["outputs"]
-    kind = "one-way links" if network.directed else "links"
-    spread = (
-        f"{outputs['least']}" if outputs["least"] == outputs["most"] else f"{outputs['least']} to {outputs['most']}"
-    )
+    kind = ("one-way link" if network.directed else "link") + ("" if facts["links"] == 1 else "s")
     lines = [
         f"{problem}: a valid problem file",
         f"  name       {network.name or '-'}" + (f": {network.description}" if network.description else ""),
         f"  plant      n = {network.n} states" + (f", every {network.dt:g} s" if network.dt else ""),
         f"  network    N = {network.N:,} nodes, {facts['links']:,} {kind};"
-        f" each hears {degree['least']} to {degree['most']} nodes, itself included, mean {degree['mean']:.3g}",
-        f"  sensors    {spread} outputs a node, {outputs['total']:,} in all; {facts['relays']:,} relays without one",
+        f" each hears {_range(degree)}, itself included, mean {degree['mean']:.3g}",
+        f"  sensors    {_range(outputs)} outputs a node, {outputs['total']:,} in all;"
+        f" {facts['relays']:,} relays without one",
         f"  diffusion  {facts['diffusion']}",
     ]
     tolerance = "none: give --tolerance" if own is None else f"c = {own.tolerance:g} ({own.convention})"
     family = f", tau = {own.tau:g}" if own is not None and own.tau else ""
     return [*lines, f"  ambiguity  {tolerance}{family}"]
+
+
+def _range(facts: dict[str, Any]) -> str:
+    """`3`, or `2 to 5`."""
+    least, most = facts["least"], facts["most"]
+    return f"{least}" if least == most else f"{least} to {most}"

@@ -204,6 +204,16 @@ def shown(value: Any) -> str:
     return {dict: "a table", type(None): "nothing"}.get(type(value), f"of type {type(value).__name__}")
 
 
+def counted(count: int, what: str) -> str:
+    """`1 sensor`, `2 sensors`."""
+    return f"{count:,} {what}" + ("" if count == 1 else "s")
+
+
+def there_are(count: int, what: str) -> str:
+    """`there is 1 sensor`, `there are 2 sensors`."""
+    return f"there {'is' if count == 1 else 'are'} {counted(count, what)}"
+
+
 def unreadable(error: OSError | ValueError) -> str:
     """Why a file cannot be read; a ValueError is about a name that no file can have."""
     if isinstance(error, IsADirectoryError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from tolnet.model._checks import Complaints
+from tolnet.model._checks import Complaints, shown
 from tolnet.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def plant_matrices(plant: Any, B: Any, Q: Any, dt: Any, complaints: Complaints) 
 
 
 def read_graphml(data: bytes) -> networkx.Graph:
-    """The graph of a GraphML file, its nodes in the order of the file.
+    """The graph of a GraphML file.
 
     Raises InputError for what is no GraphML, for a graph without nodes, and for an edge to a node that is not there.
     """
@@ -54,7 +55,7 @@ def read_graphml(data: bytes) -> networkx.Graph:
         raise InputError(f"is no GraphML: {error or type(error).__name__}") from None
     strangers = [node for node in graph if node not in declared]
     if strangers:
-        raise InputError(f"has an edge to the node {strangers[0]!r}, which it does not have")
+        raise InputError(f"has an edge to the node {shown(strangers[0])}, which it does not have")
     if not len(graph):
         raise InputError("has no nodes")
     return graph
@@ -64,9 +65,30 @@ _MALFORMED = (AttributeError, LookupError, RecursionError, TypeError, ValueError
 """What networkx raises on bytes that are no GraphML: it looks into elements without asking whether they are there."""
 
 
+def nodes_of_graph(graph: networkx.Graph) -> list[Any]:
+    """The nodes of a networkx graph in the order of the sensors.
+
+    Nodes that are whole numbers, or text that spells them, stand in rising order: networkx keeps them as its edges
+    happened to name them, and node 3 is the fourth sensor all the same. All others stand as the graph has them.
+    """
+    numbers = {node: _whole_number(node) for node in graph}
+    whole = {node: number for node, number in numbers.items() if number is not None}
+    return sorted(whole, key=whole.__getitem__) if len(whole) == len(numbers) else list(graph)
+
+
+def _whole_number(node: Any) -> int | None:
+    """The number that a node is or spells, in the one way that whole numbers are written."""
+    if isinstance(node, str):
+        return int(node) if _CANONICAL.fullmatch(node) else None
+    return int(node) if isinstance(node, int | np.integer) and not isinstance(node, bool) else None
+
+
+_CANONICAL = re.compile("0|[1-9][0-9]{0,17}")
+
+
 def links_of_graph(graph: networkx.Graph) -> Int[ndarray, "E 2"]:
-    """The edges of a networkx graph as pairs of places in the order of its nodes; edge attributes are not read."""
-    place = {node: i for i, node in enumerate(graph)}
+    """The edges of a networkx graph as pairs of places among `nodes_of_graph`; edge attributes are not read."""
+    place = {node: i for i, node in enumerate(nodes_of_graph(graph))}
     pairs = [(place[u], place[v]) for u, v in graph.edges()]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
@@ -76,7 +98,9 @@ def positions_of_graph(graph: networkx.Graph) -> Float[ndarray, "N d"] | None:
 
     The two are `x` and `y`, or `longitude` and `latitude`, whatever the case.
     """
-    attributes = [{k.lower(): v for k, v in data.items() if isinstance(k, str)} for _, data in graph.nodes(data=True)]
+    attributes = [
+        {k.lower(): v for k, v in graph.nodes[node].items() if isinstance(k, str)} for node in nodes_of_graph(graph)
+    ]
     candidates = [[own.get("pos") for own in attributes]]
     candidates += [[[own.get(x), own.get(y)] for own in attributes] for x, y in _COORDINATES]
     for points in candidates:
@@ -90,17 +114,18 @@ _COORDINATES = (("x", "y"), ("longitude", "latitude"))
 
 
 def names_of_graph(graph: networkx.Graph) -> tuple[str, ...] | None:
-    """What the nodes are called: their attribute `name` or `label`, else themselves where they are text.
+    """What the nodes are called: their attribute `name` or `label`, else themselves where they are text or numbers.
 
-    None where neither is so for every node, or where the text is only the node's place.
+    None where neither is so for every node, or where the number is only the node's place.
     """
+    nodes = nodes_of_graph(graph)
     for key in ("name", "label"):
-        found = [data.get(key) for _, data in graph.nodes(data=True)]
+        found = [graph.nodes[node].get(key) for node in nodes]
         names = tuple(name for name in found if isinstance(name, str) and name)
         if len(names) == len(found):
             return names
-    names = tuple(node for node in graph if isinstance(node, str))
-    said = len(names) == len(graph) and any(node != str(i) for i, node in enumerate(names))
+    names = tuple(str(node) for node in nodes if isinstance(node, str) or _whole_number(node) is not None)
+    said = len(names) == len(nodes) and any(name != str(i) for i, name in enumerate(names))
     return names if said else None
 
 

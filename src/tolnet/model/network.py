@@ -150,18 +150,18 @@ class SensorNetwork:
         except InputError as error:
             raise type(error)(error.complaints, source=str(path)) from None
 
-    def reweighted(self, W: sparse.csr_array | ndarray) -> SensorNetwork:
-        """The same network with W as its diffusion, bit for bit otherwise; it was loaded from no file.
+    def with_diffusion(self, W: Any) -> SensorNetwork:
+        """The same network with the weights W (N, N), or with the rule of that name; it comes from no file.
 
-        Raises InputError unless W is a matrix of weights on this graph, eq. (11).
+        Raises InputError where W is not admissible on the graph, eq. (11).
         """
         complaints = Complaints()
         diffusion = parse_diffusion(W, self.adjacency, complaints)
         complaints.raise_if_any()
-        other = copy.copy(self)
-        object.__setattr__(other, "diffusion", diffusion)
-        object.__setattr__(other, "digest", None)
-        return other
+        changed = copy.copy(self)
+        object.__setattr__(changed, "diffusion", diffusion)
+        object.__setattr__(changed, "digest", None)
+        return changed
 
     def relinked(self, links: Int[ndarray, "E 2"]) -> SensorNetwork:
         """The same network on other links [from, to], loaded from no file; W of its own gives way to the default rule.
@@ -345,6 +345,6 @@ def _parse_network(
         "directed": directed,
         "adjacency": graph,
         "positions": positions,
-        "names": checks.labels(names, N, "network.names", f"there are {N} nodes", complaints),
-        "diffusion": parse_diffusion(diffusion, graph, complaints),
+        "names": checks.labels(names, N, "network.names", checks.there_are(N, "node"), complaints),
+        "diffusion": parse_diffusion(diffusion, graph, N, complaints),
     }

@@ -17,6 +17,8 @@ from tolnet.model.ambiguity import Convention
 from tolnet.model.errors import Complaint
 from tolnet.model.graph import DIFFUSION_RULES
 
+SCHEMA = "tolnet.problem/1"
+
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=False)
@@ -139,7 +141,7 @@ class Problem(_Table):
     """A plant, the sensors that watch it, and the graph over which they talk."""
 
     model_config = ConfigDict(
-        title="tolnet.problem/1", json_schema_extra={"anyOf": [{"required": ["sensors"]}, {"required": ["arrays"]}]}
+        title=SCHEMA, json_schema_extra={"anyOf": [{"required": ["sensors"]}, {"required": ["arrays"]}]}
     )
 
     schema_: Literal["tolnet.problem/1"] = Field(alias="schema", description="version of this format")
@@ -235,6 +237,8 @@ def _message(place: tuple[Any, ...], error: Any) -> str:
         return f"is no known key; the nearest is {nearest(str(last), siblings)!r}"
     if kind == "invalid_key":
         return "is no text; keys are text"
+    if kind == "missing" and last == "schema":
+        return f"is missing; schema = {SCHEMA!r} was expected"
     if kind == "missing":
         meant = known[last].description if last in known else None
         return "is missing" + (f": {meant}" if meant else "")

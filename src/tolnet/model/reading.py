@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy import ndarray
 
-from tolnet.model._checks import Complaints, nearest, shown, unreadable
+from tolnet.model._checks import Complaints, nearest, shown, there_are, unreadable
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.archive import read_archive
 from tolnet.model.errors import Complaint, InputError, ShapeError
@@ -211,18 +211,26 @@ class _Reader:
         table, graph = self.table("network"), None
         nodes, directed, graphml = (self.plain("network", key) for key in ("nodes", "directed", "graphml"))
         edges = self.resolved(table.get("edges"), "network.edges") if "edges" in table else None
-        if graphml is not None and edges is not None:
-            self.blame("network", "has both edges and graphml; exactly one was expected")
-        elif graphml is not None:
+        packed = self.packed("edges") if "edges" not in self.used else None
+        given = {"edges": edges, "graphml": graphml, "edges in the archive": packed}
+        places = [place for place, value in given.items() if value is not None]
+        if len(places) > 1:
+            both = "both " if len(places) == 2 else ""
+            self.blame("network", f"has {both}{' and '.join(places)}; exactly one was expected")
+        if graphml is not None and edges is None:
             graph = self.graphml(graphml)
-            if graph is not None and directed not in (None, graph.is_directed()):
+            if graph is None:
+                self.blamed.add("network.edges")
+                edges = graphml  # no links, as has been said
+            elif directed not in (None, graph.is_directed()):
                 self.blame("network.directed", f"is {shown(directed)}; {graphml!r} says the contrary")
-        elif edges is None and "edges" in self.archive:
-            edges = self.packed("edges")
+        elif edges is None:
+            edges = packed
         if nodes is None and graphml is None and not self.told("network.nodes"):
             self.blame("network.nodes", "is missing: number of nodes")
         if nodes is not None and N and nodes != N:
-            self.complaints.add("network.nodes", f"is {shown(nodes)}; there are {N} sensors", shape=True)
+            self.complaints.add("network.nodes", f"is {shown(nodes)}; {there_are(N, 'sensor')}", shape=True)
+            self.blamed |= {"network.edges", "network.positions", "network.names", "diffusion.weights"}
         names = self.resolved(table.get("names"), "network.names")
         return {
             "adjacency": graph,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+from scipy import sparse
 
 from tolnet.design.diffusion import diffusion_matrix
-from tolnet.model import SensorNetwork, ToleranceTable
+from tolnet.model import SensorNetwork, SteadyState, ToleranceTable
 
 _COLUMNS_AT_A_TIME = 200_000
 
@@ -30,22 +31,32 @@ class Deployment:
     gains: Float[ndarray, "M n"]
 
     @classmethod
-    def of(cls, table: ToleranceTable) -> Deployment:
-        """Pack G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1 and column k of W, for every node k."""
+    def of(cls, table: ToleranceTable, W: sparse.csr_array | None = None) -> Deployment:
+        """Pack G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1 and column k of W, for every node k; W as the problem has it."""
         network = table.network
         heard = network.adjacency.tocsc()
         heard.sort_indices()
         offsets, neighbours = heard.indptr.astype(np.int64), heard.indices.astype(np.int64)
         columns = np.concatenate([[0], np.cumsum(np.diff(network.rows)[neighbours])])
-        W = diffusion_matrix(network, table=table)
+        W = diffusion_matrix(network, table=table) if W is None else W
         hearing = np.repeat(np.arange(network.N), np.diff(offsets))
         weights = np.asarray(W[neighbours, hearing]).ravel() if neighbours.size else np.empty(0)
         return cls(offsets, neighbours, weights, columns, _gain_columns(table, offsets, neighbours, columns))
+
+    def rounded(self, precision: type[np.floating]) -> Deployment:
+        """The same with gains and weights rounded to a precision that a device has."""
+        weights, gains = (X.astype(precision).astype(float) for X in (self.weights, self.gains))
+        return replace(self, weights=weights, gains=gains)
 
     def gain(self, k: int) -> Float[ndarray, "n m"]:
         """G_k, columns by neighbour."""
         first, last = self.columns[self.offsets[[k, k + 1]]]
         return self.gains[first:last].T
+
+
+def central_gain_columns(network: SensorNetwork, central: SteadyState) -> Float[ndarray, "M n"]:
+    """The columns of the centre's gain G = A (V^-1 + S_tot)^-1 C' R^-1 as rows, sensor by sensor, eq. (7)."""
+    return _noise_weighted(network) @ (network.A @ central.filtered).T
 
 
 def _gain_columns(

@@ -1,4 +1,4 @@
-"""Built-in problems: two that are shipped as files, and networks drawn at random."""
+"""Built-in problems: some that are shipped as files, and networks drawn at random."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ def example_names() -> dict[str, str]:
     return {
         "projectile": "20 sensors track a projectile (37 links, the published study)",
         "ieee14": "the 14 buses of an IEEE test grid estimate its voltage angles",
+        "unstable-path": "stable filters on a path that relative-degree weights make unstable",
+        "unstable-ring": "stable filters on a ring that uniform weights make unstable",
+        "unstable-metropolis": "stable filters on a path that Metropolis weights make unstable",
         "random": "any number of nodes track a target",
     }
 

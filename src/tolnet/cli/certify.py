@@ -1,0 +1,374 @@
+"""`tolnet certify`: is it stable? prove it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from tolnet.cli.console import Console, ProgressBar, complain
+from tolnet.cli.documents import write
+from tolnet.cli.options import (
+    AsJson,
+    Outputs,
+    Problem,
+    Quiet,
+    Rule,
+    Tolerance,
+    Unit,
+    check_outputs,
+    choose_ambiguity,
+    nearest,
+    open_problem,
+    repeated,
+)
+from tolnet.cli.solving import solve_table
+
+if TYPE_CHECKING:
+    from tolnet.certificates.deployed import Deployed
+    from tolnet.certificates.verdicts import Node, Verdict
+    from tolnet.cli.evidence import Evidence
+    from tolnet.design.export.deployment import Deployment
+    from tolnet.model import Ambiguity, SensorNetwork, SteadyState
+
+REFUTED, UNDECIDED, NO_ANSWER = 1, 3, 4
+ATTEMPTED = ("schur-stability", "steady-state", "attraction", "tolerance", "convergence", "performance")
+"""What is attempted where nobody selects."""
+ON_REQUEST = ("decay-rate", "convergence-all", "switching")
+FILTER_CLAIMS = ("steady-state", "attraction", "tolerance", "convergence", "convergence-all")
+"""Those that speak of single filters, and are decided node by node."""
+
+
+def certify(
+    problem: Problem,
+    tolerance: Tolerance = None,
+    convention: Unit = None,
+    diffusion: Rule = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table", metavar="FILE", help="Certify the gains and weights of this table (.npz, full .json)."
+        ),
+    ] = None,
+    precision: Annotated[
+        Literal["float64", "float32"],
+        typer.Option(help="What the device computes in: gains and weights are rounded."),
+    ] = "float64",
+    claims: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Some of schur-stability, steady-state, attraction, tolerance, convergence,"
+            " performance (these without), decay-rate, convergence-all, switching.",
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="R", help="Claim that errors decay by this factor a step (decay-rate).")
+    ] = None,
+    scenarios: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Claim stability under switching among these weights or lost links (.json)."
+        ),
+    ] = None,
+    drop_links: Annotated[
+        int | None,
+        typer.Option(
+            "--drop-links", min=1, metavar="M", help="Claim stability when any M links at once drop and return."
+        ),
+    ] = None,
+    stable_weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Where a network is refuted: write weights nearby that are proved stable"
+            " (.csv, or .toml for the problem with its weights replaced).",
+        ),
+    ] = None,
+    output: Outputs = None,
+    json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Is it stable? Proofs, or witnesses against it, in a file that `tolnet check` and check.py verify.
+
+    -o takes .json, the certificate. What is proved concerns the very doubles that are deployed. Exit code 0: every
+    claim is proved; 1: one is refuted; 3: none is refuted, but one is undecided; 4: there is no filter to certify.
+    """
+    console = Console(json=json, quiet=quiet)
+    outputs = output or []
+    inputs = [problem, *(str(path) for path in (table, scenarios) if path is not None)]
+    check_outputs(outputs, [".json"], inputs=inputs)
+    if stable_weights is not None:
+        check_outputs([stable_weights], [".csv", ".toml"], inputs=[*inputs, *map(str, outputs)])
+    wanted = _choose_claims(claims, rate=rate, switching=scenarios is not None or drop_links is not None)
+    subject = _prepare(problem, tolerance, convention, diffusion, table, precision, console)
+    verdicts = list(_decide(subject, wanted, rate, scenarios, drop_links, console))
+
+    from tolnet.certificates.document import certificate_json
+    from tolnet.report.certificate import certificate_view
+
+    opening = subject.opening(verdicts)
+    data = subject.deployed.data() if outputs or json else {}
+    for path in outputs:
+        with console.progress(f"writing {path}"):
+            write(path, certificate_json(opening, data, verdicts))
+    if json:
+        console.document(certificate_json(opening, data, verdicts))
+    bounds = _published(subject, verdicts), _largest(subject, wanted, console)
+    console.show(*certificate_view(subject.deployed, subject.ambiguity, verdicts, *bounds))
+    written = list(outputs)
+    if _unstable(verdicts):
+        written += _advise(subject, stable_weights, console)
+    console.wrote(written)
+    options = repeated(tolerance=tolerance, convention=convention, diffusion=diffusion, precision=_unless(precision))
+    console.suggest(*_next_commands(shlex.quote(problem), options, outputs, table))
+    answers = {verdict.verdict for verdict in verdicts}
+    if "refuted" in answers:
+        raise typer.Exit(REFUTED)
+    if "undecided" in answers:
+        raise typer.Exit(UNDECIDED)
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is certified: the deployed numbers, and the steady states in floating point that they came from."""
+
+    network: SensorNetwork
+    ambiguity: Ambiguity
+    central: SteadyState
+    local: SteadyState
+    deployed: Deployed
+    evidence: Evidence
+
+    def opening(self, verdicts: Sequence[Verdict]) -> dict:
+        """The keys that open the document."""
+        from tolnet.certificates.document import SCHEMA
+        from tolnet.design.export import opening
+
+        answers = {verdict.verdict for verdict in verdicts}
+        status = next((word for word in ("refuted", "undecided") if word in answers), "ok")
+        return opening(SCHEMA, self.network, status, self.ambiguity)
+
+
+def _choose_claims(text: str | None, *, rate: float | None, switching: bool) -> list[str]:
+    from tolnet.model import InputError
+
+    words = list(ATTEMPTED) if text is None else [word.strip() for word in text.split(",")]
+    known = (*ATTEMPTED, *ON_REQUEST)
+    for word in words:
+        if word not in known:
+            raise InputError(f"--claims names {word!r}; the claims are {', '.join(known)}{nearest(word, known)}")
+    if rate is not None:
+        if not 0 < rate < float("inf"):
+            raise InputError(f"--rate is {rate}; a number above 0 was expected")
+        words += ["decay-rate"]
+    if switching:
+        words += ["switching"]
+    elif "switching" in words:
+        raise InputError("--claims names 'switching', which needs --scenarios FILE or --drop-links M")
+    return list(dict.fromkeys(words))
+
+
+def _prepare(
+    problem: str,
+    tolerance: float | None,
+    convention: Literal["gamma", "nats"] | None,
+    diffusion: str | None,
+    table: Path | None,
+    precision: str,
+    console: Console,
+) -> Subject:
+    """The numbers that are deployed: the table's own, or those that the problem leads to."""
+    import numpy as np
+
+    from tolnet import analysis
+    from tolnet.cli.evidence import Evidence
+    from tolnet.design.diffusion import check_rule, diffusion_matrix
+    from tolnet.design.export import Reasons
+    from tolnet.design.export.deployed import read_deployed
+    from tolnet.design.export.deployment import Deployment
+    from tolnet.model import Complaint, InputError, UnsupportedError
+
+    network = open_problem(problem, console)
+    stored = None if table is None else read_deployed(table)
+    if stored is not None and (tolerance is not None or diffusion is not None):
+        raise InputError("--table holds the tolerance and the weights; --tolerance and --diffusion were not expected")
+    if stored is not None:
+        tolerance, convention = stored.record.tolerance, stored.record.convention
+    ambiguity = choose_ambiguity(network, tolerance, convention, None)
+    if ambiguity.tau != 0:
+        raise UnsupportedError(f"certificates are defined for tau = 0 only, and ambiguity.tau is {ambiguity.tau:g}")
+    try:
+        rule = diffusion or network.diffusion
+        if isinstance(rule, str):
+            check_rule(network, rule)
+    except InputError as error:
+        raise InputError([Complaint("--diffusion", each.message) for each in error.complaints]) from None
+    if stored is None:
+        solved = solve_table(network, ambiguity, console)
+        if not solved.local.exists.all():
+            complain(Reasons(solved).offenders(), "no answer")
+            raise typer.Exit(NO_ANSWER)
+        central, local = solved.central, solved.local
+        deployment = Deployment.of(solved, diffusion_matrix(network, diffusion, solved))
+    else:
+        if len(stored.tolerances) != network.N:
+            raise InputError(
+                f"is a table of {len(stored.tolerances)} nodes; {network.N} were expected", source=str(table)
+            )
+        with console.progress("steady states") as progress:
+            central = analysis.solve_steady_state(network, ambiguity)
+            local = analysis.solve_local_steady_states(network, stored.tolerances, progress=progress)
+        deployment = stored.deployment
+    if precision == "float32":
+        deployment = deployment.rounded(np.float32)
+    try:
+        deployed = deployed_of(network, central, deployment)
+    except InputError as error:
+        raise InputError(error.complaints, source=str(table)) from None
+    return Subject(network, ambiguity, central, local, deployed, Evidence(deployed))
+
+
+def deployed_of(network: SensorNetwork, central: SteadyState, deployment: Deployment) -> Deployed:
+    """What is certified of a deployment: with the least favourable model, where there is one."""
+    import numpy as np
+
+    from tolnet import analysis
+    from tolnet.certificates.deployed import Centre, Deployed
+    from tolnet.design.export.deployment import central_gain_columns
+    from tolnet.model import InputError
+    from tolnet.model.worst_case import psd_factor
+
+    worst = analysis.least_favourable_model(network, central)
+    centre = None
+    if worst.exists:
+        Y = psd_factor(worst.tilt)
+        centre = Centre(central_gain_columns(network, central), Y[:, Y.any(axis=0)])
+    if not (np.isfinite(deployment.gains).all() and np.isfinite(deployment.weights).all()):
+        raise InputError("holds gains or weights that are no finite numbers: some node has no filter")
+    d = deployment
+    return Deployed(network, d.offsets, d.neighbours, d.weights, d.columns, d.gains, centre)
+
+
+def _decide(
+    subject: Subject,
+    wanted: Sequence[str],
+    rate: float | None,
+    scenarios: Path | None,
+    drop_links: int | None,
+    console: Console,
+) -> Iterator[Verdict]:
+    """The verdicts, in the order of the claims."""
+    from tolnet.cli.scenarios import read_scenarios
+
+    evidence = subject.evidence
+    listed = None if scenarios is None else read_scenarios(scenarios, subject.deployed)
+    for claim in wanted:
+        with console.progress(claim) as progress:
+            match claim:
+                case "schur-stability":
+                    yield evidence.stability(progress)
+                case "decay-rate":
+                    yield evidence.decay_rate(rate, progress)
+                case "performance":
+                    yield evidence.performance()
+                case "switching":
+                    if listed is not None:
+                        yield evidence.scenarios(listed, progress)
+                    if drop_links is not None:
+                        yield evidence.link_losses(drop_links, progress)
+                case _ if claim == next(name for name in wanted if name in FILTER_CLAIMS):
+                    yield from _decide_filters(subject, [c for c in wanted if c in FILTER_CLAIMS], progress)
+
+
+def _decide_filters(subject: Subject, claims: Sequence[str], progress: ProgressBar) -> Iterator[Verdict]:
+    """The verdicts on single filters, claim by claim: the centre first, then the nodes."""
+    from functools import partial
+
+    from tolnet.certificates.filter_claims import SteadyStates, decide, find_centre
+    from tolnet.cli.parallel import in_parallel
+
+    local, central = subject.local, subject.central
+    nodes: list[Node] = [*range(subject.network.N)]
+    c, P, theta = local.tolerance.tolist(), list(local.P), local.theta.tolist()
+    centre = None
+    if central.exists:
+        own = float(central.tolerance), central.P, float(central.theta)
+        centre = find_centre(subject.deployed, *own)
+        nodes, c, P, theta = ["centre", *nodes], [own[0], *c], [own[1], *P], [own[2], *theta]
+    parts = SteadyStates(nodes, c, P, theta, centre).parts(_at_a_time(len(nodes)))
+    work = partial(decide, deployed=subject.deployed, claims=claims)
+    found = [verdict for verdicts in in_parallel(work, parts, progress) for verdict in verdicts]
+    for claim in claims:
+        yield from (verdict for verdict in found if verdict.claim == claim)
+
+
+def _at_a_time(filters: int) -> int:
+    """Filters that one process decides in a row: few, to show progress; not too few, since each row starts anew."""
+    return max(1, min(50, filters // 16))
+
+
+def _published(subject: Subject, verdicts: Sequence[Verdict]) -> float | None:
+    """The published sufficient bound for the centre, to stand beside what was proved of convergence."""
+    if not any(verdict.claim.startswith("convergence") for verdict in verdicts):
+        return None
+    from tolnet import analysis
+
+    network = subject.network
+    S = network.total_information[None]
+    return float(analysis.published_bound(network.A, network.Q, S, 2 * network.n)[0])
+
+
+def _largest(subject: Subject, wanted: Sequence[str], console: Console) -> float | None:
+    """The largest c for which the centre is proved to converge from every start, where that was asked for."""
+    from tolnet.certificates.balls import NotProved
+    from tolnet.certificates.bracket import largest_tolerance_for_all
+    from tolnet.certificates.filter_claims import ExactFilters
+
+    if "convergence-all" not in wanted or console.json or console.quiet:
+        return None
+    with console.progress("largest tolerance"):
+        found = largest_tolerance_for_all(ExactFilters(subject.deployed).filter("centre", 0.0))
+    return None if isinstance(found, NotProved) else float.fromhex(found["c"])
+
+
+def _unstable(verdicts: Sequence[Verdict]) -> bool:
+    return any(v.verdict == "refuted" and v.claim == "schur-stability" for v in verdicts)
+
+
+def _advise(subject: Subject, path: Path | None, console: Console) -> list[Path]:
+    """Who carries the unstable mode, and which weights nearby are proved stable."""
+    from tolnet.report.certificate import instability_view
+
+    with console.progress("weights nearby that are stable"):
+        repaired = subject.evidence.stable_weights_nearby()
+    console.show(*instability_view(subject.deployed, subject.evidence.growth, repaired))
+    if path is None or repaired is None:
+        return []
+    from tolnet import model
+    from tolnet.model import replacing
+
+    if path.suffix.lower() == ".toml":
+        return model.save(subject.network.with_diffusion(repaired.W), path)
+    with replacing(path) as file:
+        file.write(b"# diffusion weights: line l, number k is w_lk\n")
+        for row in repaired.W.toarray():
+            file.write((",".join(map(repr, row.tolist())) + "\n").encode())
+    return [path]
+
+
+def _unless(precision: str) -> str | None:
+    return None if precision == "float64" else precision
+
+
+def _next_commands(problem: str, options: str, outputs: Sequence[Path], table: Path | None) -> Iterator[str]:
+    if outputs:
+        against = f" --table {shlex.quote(str(table))}" if table else ""
+        yield f"tolnet check {shlex.quote(str(outputs[0]))} --problem {problem}{against}"
+    else:
+        yield f"tolnet certify {problem}{options} -o certificate.json"
+    yield f"tolnet certify {problem}{options} --claims switching --drop-links 1"

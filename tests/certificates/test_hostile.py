@@ -1,0 +1,249 @@
+"""Hostile input is refused by a clear message, in bounded time and memory, and never runs anything."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.certificates.alterations import branches, get, put
+from tests.certificates.examples import certificate, certificates
+from tests.reference.certificates import document, scalar_data, stability_claim, text
+from tolnet.certificates import check as checker
+from tolnet.certificates.check import Refused, check, load, main
+
+PLAIN = json.dumps(certificate("primal network"))
+
+
+def complaint(tmp_path: Path, content: bytes, largest: int = checker.LARGEST_FILE) -> str:
+    """The message that refuses such a file."""
+    file = tmp_path / "certificate.json"
+    file.write_bytes(content)
+    with pytest.raises(Refused) as caught:
+        load(str(file), largest)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "no JSON document"),
+        (b"{", "no JSON document"),
+        (b"\xff\xfe{}", "no JSON document"),
+        (b"\xef\xbb\xbf{}", "no JSON document"),
+        (b'{"claims": [NaN]}', "NaN is no finite double"),
+        (b'{"claims": [-Infinity]}', "-Infinity is no finite double"),
+        (b'{"claims": 1e999}', "no finite double"),
+        (b'{"claims": -1e999}', "no finite double"),
+        (b'{"claims": 1' + b"0" * 30 + b"}", "no finite double"),
+        (b'{"claims": ' + b"9" * 1_000_000 + b"}", "no finite double"),
+        (b'{"claims": 0.' + b"1" * 1_000_000 + b"}", "no finite double"),
+        (b'{"a": 1, "a": 1}', "key twice"),
+        (b"[" * 200_000, "nested too deeply"),
+        (b'{"a":' * 200_000, "nested too deeply"),
+        (b"[" * 200_000 + b"]" * 200_000, "nested too deeply"),
+    ],
+)
+def test_what_is_no_plain_json_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
+    assert says in complaint(tmp_path, content)
+
+
+def test_a_file_that_is_too_large_is_not_read_to_its_end(tmp_path: Path) -> None:
+    assert "larger than 100 bytes" in complaint(tmp_path, PLAIN.encode(), 100)
+    assert "larger than" in complaint(tmp_path, b" " * 101, 100)
+    file = tmp_path / "exact.json"
+    file.write_text("{}" + " " * 98)
+    assert load(str(file), 100) == {}
+    with pytest.raises(Refused, match="larger than 1000 bytes"):
+        load("/dev/zero", 1000)  # no end at all
+    with pytest.raises(Refused):
+        load(str(tmp_path))
+
+
+@pytest.mark.parametrize("thing", [None, True, 3, "text", [], {}, {"schema": "tolnet.certificate/1"}, [[[[]]]]])
+def test_what_is_no_certificate_is_refused(thing: Any) -> None:
+    with pytest.raises(Refused):
+        check(thing)
+
+
+@pytest.mark.parametrize("key", ["schema", "tolnet", "problem", "tau", "status", "data", "claims"])
+def test_every_key_of_the_document_is_needed_and_no_other(key: str) -> None:
+    found = certificate("primal network")
+    with pytest.raises(Refused, match=key):
+        check({k: v for k, v in found.items() if k != key})
+    with pytest.raises(Refused, match="unknown key 'more'"):
+        check({**found, "more": 1})
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        (("schema",), "tolnet.certificate/2", "schema"),
+        (("claims",), [], "claims nothing"),
+        (("claims",), {}, "claims: expected a list"),
+        (("data", "n"), 0, "data.n"),
+        (("data", "n"), 10**9, "data.n"),
+        (("data", "n"), True, "data.n"),
+        (("data", "n"), 2.0, "data.n"),
+        (("data", "nodes"), -1, "data.nodes"),
+        (("data", "nodes"), 10**12, "data.nodes"),
+        (("data", "directed"), 0, "data.directed"),
+        (("data", "neighbours"), [[0, 1, 2]] * 2, "data.neighbours: expected a list of 3"),
+        (("data", "neighbours", 1), [0, 2], "the node itself"),
+        (("data", "neighbours", 1), [1, 0, 2], "rising"),
+        (("data", "neighbours", 1), [0, 1, 1, 2], "rising"),
+        (("data", "neighbours", 1), [0, 1, 3], "data.neighbours[1]"),
+        (("data", "neighbours", 1), [-1, 0, 1], "data.neighbours[1]"),
+        (("data", "neighbours", 1), [False, 1, 2], "data.neighbours[1]"),
+        (("data", "neighbours", 1), [0, 1], "one way only"),
+        (("data", "A"), "0x1.0000000000000p+0 " * 4, "data.A"),
+        (("data", "A"), "0x1.0000000000000p+0", "data.A"),
+        (("data", "A"), "0x1p0 0x1p0 0x1p0 0x1p0", "data.A"),
+        (("data", "A"), "1 0 0 1", "data.A"),
+        (("data", "A"), "nan nan nan nan", "data.A"),
+        (("data", "A"), "inf inf inf inf", "data.A"),
+        (("data", "A"), "0x1.0000000000000p+5000 " + text([0, 0, 0]), "data.A"),
+        (("data", "A"), text([2.0**600, 0, 0, 2.0**-600]), "span more than 1024 bits"),
+        (("data", "A"), " " * 10**6, "data.A"),
+        (("data", "A"), [1, 0, 0, 1], "data.A"),
+        (("data", "A"), None, "data.A"),
+        (("data", "C", 0), text([1.0]), "data.C[0]"),
+        (("data", "noise", 0), {}, "data.noise[0]"),
+        (("data", "noise", 0), {"R": text([1]), "D": text([1])}, "data.noise[0]"),
+        (("data", "noise", 1), {"R": text([1, 2, 3, 1])}, "symmetric"),
+        (("data", "process"), {"Q": text([1, 2, 3, 4])}, "symmetric"),
+        (("data", "process"), {"B": text([1, 2]), "columns": 2}, "data.process.B"),
+        (("data", "process"), {"B": "", "columns": -1}, "data.process.columns"),
+        (("data", "process"), {}, "data.process"),
+        (("data", "weights", 0), "", "data.weights[0]"),
+        (("data", "gains", 0), "", "data.gains[0]"),
+        (("data", "centre"), {}, "data.centre"),
+        (("data", "centre"), [], "data.centre"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused(path: tuple[str | int, ...], value: Any, says: str) -> None:
+    with pytest.raises(Refused) as caught:
+        check(put(certificate("primal network"), path, value))
+    assert says in str(caught.value)
+
+
+ODD = [None, True, False, 0, -1, 10**15, 0.5, "", " ", "0x", "\x1b[2J", "\ud800", [], [[]], {}, {"a": {}}]
+
+
+@pytest.mark.parametrize("name", [*certificates()][::6])
+def test_nothing_but_a_refusal_or_a_finding_comes_out(name: str) -> None:
+    """Odd things in the place of everything: no other exception, and nothing valid without its proof."""
+    original = certificate(name)
+    for path in branches(original):
+        if path:
+            for odd in ODD:
+                altered = put(original, path, odd)
+                try:
+                    findings = check(altered)
+                except Refused:
+                    continue
+                assert len(findings) == len(altered["claims"])
+                if path[:3] == ("claims", 0, "proof") and "scenarios" not in name:
+                    assert all(finding.result != "valid" for finding in findings) or get(original, path) == odd
+
+
+def test_messages_of_hostile_files_are_plain_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "certificate.json"
+    found = certificate("primal network")
+    found["claims"][0] |= {"claim": "\x1b[31m\ud800" * 10_000, "statement": "\n\nvalid: all of it\n" * 1000}
+    file.write_text(json.dumps(found))
+    for arguments in ([str(file)], [str(file), "--json"]):
+        assert main(arguments) == 1
+        printed = capsys.readouterr().out
+        assert printed.isascii()
+        assert "\x1b" not in printed
+        assert len(printed) < 10_000
+    assert main([str(file)]) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 1
+    file.write_text(json.dumps({**certificate("primal network"), "\x1b[2J" * 1000: 1}))
+    assert main([str(file)]) == 2
+    assert "\x1b" not in capsys.readouterr().err
+
+
+def test_too_many_sets_of_links_are_not_checked() -> None:
+    """A star of 60 nodes, of which any 30 links may drop."""
+    nodes = 60
+    data = {**scalar_data(0.1), "nodes": nodes, "C": [""] * nodes, "noise": [{}] * nodes, "gains": [""] * nodes}
+    data["neighbours"] = [list(range(nodes))] + [[0, k] for k in range(1, nodes)]
+    data["weights"] = [text([1 / len(heard)] * len(heard)) for heard in data["neighbours"]]
+    said = "The network block of the error dynamics stays stable however links drop and return, at most 30 at once."
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0.0, "reason": None, "drop": 30}
+    started = time.monotonic()
+    finding = check(document(data, claim | {"proof": {"Y": [text([1.0])] * nodes}}))[0]
+    assert finding.result == "not checked here"
+    assert "too large" in str(finding.reason)
+    assert time.monotonic() - started < 20
+
+
+def test_too_many_paths_are_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checker, "MOST_WORK", 100)
+    found = certificate("power network")
+    assert check(found)[0].result == "not checked here"
+
+
+def test_matrices_over_too_many_nodes_are_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("full network", "performance", "lyapunov"):
+        found = certificate(name)
+        monkeypatch.setattr(checker, "LARGEST_MATRIX", 5)
+        assert [finding.result for finding in check(found)] == ["not checked here"]
+        monkeypatch.setattr(checker, "LARGEST_MATRIX", 8)
+        assert [finding.result for finding in check(found)] == ["valid"]
+
+
+def test_a_network_too_large_for_its_file_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checker, "MOST_WORK", 3 * 8 + 9 * 4 - 1)
+    with pytest.raises(Refused, match="too large"):
+        check(certificate("primal network"))
+    monkeypatch.setattr(checker, "MOST_WORK", 3 * 8 + 9 * 4)
+    assert check(certificate("primal network"))[0].result == "valid"
+
+
+def test_the_widest_numbers_are_decided_in_time() -> None:
+    """Entries from 2^-500 to 2^500 in every text."""
+    data = scalar_data(0.5)
+    data |= {"n": 2, "A": text([2.0**-500, 2.0**510, 0, 0.5]), "process": {"Q": text([1, 0, 0, 1])}}
+    proof = {"method": "full", "X": text([2.0**500, 0, 2.0**-500])}
+    claim = stability_claim(scalar_data(0.5), "full") | {"proof": proof, "margin": 0.0}
+    assert check(document(data, claim))[0].result == "invalid"
+    data["A"] = text([2.0**-500, 0, 0, 0.5])
+    assert check(document(data, claim))[0].result == "valid"
+
+
+def test_memory_stays_near_the_size_of_the_file(tmp_path: Path) -> None:
+    """A file of brackets, or of one long text, cannot be blown up: the process lives within 600 MB."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (600 * 2**20, 600 * 2**20))
+
+    for i, content in enumerate(
+        (b"[" + b"[]," * 300_000 + b"[]]", PLAIN.replace('"A": "', '"A": "' + " " * 5_000_000).encode())
+    ):
+        file = tmp_path / f"{i}.json"
+        file.write_bytes(content)
+        done = subprocess.run(
+            [sys.executable, "-I", checker.__file__, file],
+            capture_output=True,
+            text=True,
+            check=False,
+            preexec_fn=limit,
+            timeout=60,
+        )
+        assert (done.returncode, done.stdout) == (2, "")
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_source_has_no_means_to_run_what_it_reads() -> None:
+    source = Path(checker.__file__).read_text(encoding="utf-8")
+    for word in ("eval(", "exec(", "compile(", "pickle", "import_", "importlib", "subprocess", "system", "getattr("):
+        assert word not in source
+
