@@ -25,12 +25,19 @@ if TYPE_CHECKING:
 
 
 def write_certificate(found: Diffusion, ambiguity: Ambiguity, path: Path, console: Console) -> list[Verdict]:
-    """Write the certificate of designed weights: stability, and the decay rate where the design has X_k for it."""
+    """Write the certificate of designed weights: stability, and the decay rate where the design has X_k for it.
+
+    It speaks of the whole F, or of the network's block alone where the least favourable block, which no W changes,
+    decays more slowly than the design.
+    """
     deployed = _deployed(found)
     with console.progress("certificate") as progress:
-        verdicts: list[Verdict] = [Evidence(deployed).stability(progress)]
+        if found.certificate is not None and not _centre_keeps_up(deployed, found.certificate.rate):
+            deployed = replace(deployed, centre=None)
+        evidence = Evidence(deployed)
+        verdicts: list[Verdict] = [evidence.stability(progress)]
         if found.certificate is not None:
-            verdicts.append(_decay(found, deployed))
+            verdicts.append(_decay(found, evidence))
         answers = {verdict.verdict for verdict in verdicts}
         status = next((word for word in ("refuted", "undecided") if word in answers), "ok")
         heading = opening(SCHEMA, found.table.network, status, ambiguity)
@@ -45,12 +52,18 @@ def _deployed(found: Diffusion) -> Deployed:
     return deployed_of(found.table.network, found.table.central, deployment)
 
 
-def _decay(found: Diffusion, deployed: Deployed) -> Verdict:
+def _centre_keeps_up(deployed: Deployed, r: float) -> bool:
+    """Whether the least favourable block, which W cannot change, decays at least as fast as the design."""
+    loop = Evidence(deployed).centre_loop
+    return loop is not None and bool(np.abs(np.linalg.eigvals(loop)).max() < r)
+
+
+def _decay(found: Diffusion, evidence: Evidence) -> Verdict:
     """The rate that the X_k of the design stand for; a slower one is searched for where these do not prove theirs."""
     assert found.certificate is not None
-    evidence, r = Evidence(deployed), found.certificate.rate
-    centre = None if evidence.centre_loop is None else full_candidate(evidence.centre_loop / r)
-    if deployed.centre is None or centre is not None:
+    r = found.certificate.rate
+    centre = None if evidence.centre_loop is None else full_candidate(evidence.centre_loop, r)
+    if evidence.deployed.centre is None or centre is not None:
         verdict = prove_stability(evidence.exact, Candidate("primal", found.certificate.X, centre), rate=r)
         if not isinstance(verdict, Undecided):
             return verdict

@@ -79,7 +79,9 @@ def diffusion(
     ] = None,
     certificate: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Prove what was designed stable: a certificate for `tolnet check` (.json)."),
+        typer.Option(
+            metavar="FILE", help="Prove what was designed stable: a certificate for `tolnet check` (.json)."
+        ),
     ] = None,
     output: Outputs = None,
     json: AsJson = False,

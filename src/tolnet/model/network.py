@@ -156,7 +156,7 @@ class SensorNetwork:
         Raises InputError where W is not admissible on the graph, eq. (11).
         """
         complaints = Complaints()
-        diffusion = parse_diffusion(W, self.adjacency, complaints)
+        diffusion = parse_diffusion(W, self.adjacency, self.N, complaints)
         complaints.raise_if_any()
         changed = copy.copy(self)
         object.__setattr__(changed, "diffusion", diffusion)

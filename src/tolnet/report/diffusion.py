@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy import ndarray
 from rich.table import Table
 
 from tolnet.design.export import csv_lines, opening
@@ -183,7 +182,8 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
     moved = _moved(found)
     if moved is not None:
         yield moved
-    how = f"best of {sum(not np.isnan(s.found) for s in found.starts)} searches, from {found.best_start}"
+    searches = sum(not np.isnan(s.found) for s in found.starts)
+    how = f"best of {searches} searches, from {found.best_start}" if searches > 1 else f"from {found.best_start}"
     settled = "" if found.converged else "; it had not settled"
     tail = f"; the last step, which makes W exactly admissible, changed it by {found.change:.1g}"
     yield f"{how}, {found.evaluations:,} evaluations{settled}{tail}"
@@ -284,8 +284,3 @@ def links_view(found: Diffusion, links: Sequence[AddedLink]) -> Table:
         )
         before = added.msd
     return table
-
-
-def history_of(found: Diffusion) -> ndarray:
-    """The objective as it fell."""
-    return np.asarray(found.history)

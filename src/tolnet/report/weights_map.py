@@ -1,4 +1,4 @@
-"""Designed weights in one picture: the network with the weights on its links, and MSD of every node before and after."""
+"""Designed weights in one picture: the network with its weights, and the MSD of every node before and after."""
 
 from __future__ import annotations
 
