@@ -14,6 +14,7 @@ from tolnet.cli import (
     certify,
     check,
     diff,
+    diffusion,
     example,
     observability,
     performance,
@@ -41,6 +42,7 @@ app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
 app.command("observability")(observability.observability)
+app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)
 app.command("check")(check.check)

@@ -56,7 +56,7 @@ def prepare_filters(
     Raises InputError or UnsupportedError for files that cannot be written, an unknown filter, an unknown rule or one
     that the graph refuses, or tau other than 0.
     """
-    from tolnet.design import diffusion_matrix
+    from tolnet.design.diffusion import check_rule, diffusion_matrix
     from tolnet.model import Complaint, InputError, UnsupportedError
 
     check_outputs(outputs, REPORT_SUFFIXES, inputs=[problem], plot=plot)
@@ -68,13 +68,17 @@ def prepare_filters(
             f"the least favourable model is defined for tau = 0 only, and ambiguity.tau is {ambiguity.tau:g}"
         )
     try:
-        W = diffusion_matrix(network, diffusion)
+        rule = diffusion or network.diffusion
+        if isinstance(rule, str):
+            check_rule(network, rule)
     except InputError as error:
         raise InputError([Complaint("--diffusion", each.message) for each in error.complaints]) from None
     own = network.diffusion if isinstance(network.diffusion, str) else "weights"
     level = repeated(tolerance=tolerance, convention=convention)
     options = level + repeated(filters=filters, diffusion=diffusion)
-    return Setting(solve_table(network, ambiguity, console), W, diffusion or own, names, level, options)
+    table = solve_table(network, ambiguity, console)
+    W = diffusion_matrix(network, diffusion, table)
+    return Setting(table, W, diffusion or own, names, level, options)
 
 
 def _choose_filters(text: str | None) -> list[str] | None:

@@ -3,6 +3,7 @@
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
 from tolnet.model.channels import LooseBoundWarning, SimulationModel
 from tolnet.model.corrupted import CorruptedNetwork
+from tolnet.model.diffusion import OBJECTIVES, DecayCertificate, Diffusion, Elsewhere, GainTable, Start
 from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
@@ -22,12 +23,17 @@ __all__ = [
     "CONVENTIONS",
     "DIFFUSION_RULES",
     "FUSION_RULES",
+    "OBJECTIVES",
     "Ambiguity",
     "Complaint",
     "Convention",
     "CorruptedNetwork",
+    "DecayCertificate",
+    "Diffusion",
+    "Elsewhere",
     "ErrorDynamics",
     "FusionWeights",
+    "GainTable",
     "InputError",
     "LeastFavourableModel",
     "LooseBoundWarning",
@@ -35,6 +41,7 @@ __all__ = [
     "SensorNetwork",
     "ShapeError",
     "SimulationModel",
+    "Start",
     "Status",
     "SteadyState",
     "ToleranceLimits",

@@ -28,3 +28,8 @@ class Status(StrEnum):
     """An iteration ended without an answer that deserves six digits."""
     SINGULAR = "singular"
     """A matrix that had to be positive definite is not."""
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether a performance of this status has numbers."""
+        return self in (Status.OK, Status.OSCILLATES)
