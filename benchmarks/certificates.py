@@ -47,7 +47,7 @@ def compare(network: SensorNetwork) -> None:
     deployed = Deployed(network, d.offsets, d.neighbours, d.weights, d.columns, d.gains)
     lines, found = [], []
     F, _ = sparse_block(deployed)
-    start = np.random.default_rng(0).normal(size=F.shape[0])
+    start = np.random.default_rng(0).normal(size=network.N * network.n)
     lines.append(
         _timed(
             "ARPACK, spectral radius only",
