@@ -29,6 +29,7 @@ MOST_STEPS = 5000
 MOST_BITS = 2**12
 MOST_WORK = 2**21
 """Steps times bits of an orbit."""
+_TOO_LONG = NotProved("followed as far as is tried, the orbit had not reached the region around the steady state")
 _USUAL_HALVINGS, _MOST_HALVINGS = 6, 40
 _WIDENINGS = 4
 _SHARE = 0.8
@@ -180,6 +181,8 @@ def prove_convergence(exact: ExactFilter, box: Box, start: Float[ndarray, "n n"]
             arrived = _arrival(exact, found, region, start, MOST_WORK // bits)
         if not isinstance(arrived, NotProved):
             break
+        if arrived is _TOO_LONG:
+            return arrived
         reason, bits = arrived.reason, 2 * bits
     else:
         return NotProved(reason)
@@ -210,7 +213,7 @@ def _arrival(
                 return steps
     except ZeroDivisionError:
         return NotProved("the orbit was not enclosed: a matrix that must be inverted may be singular")
-    return NotProved("followed as far as is tried, the orbit had not reached the region around the steady state")
+    return _TOO_LONG
 
 
 def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
