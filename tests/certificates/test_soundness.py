@@ -194,6 +194,18 @@ def test_a_link_that_drops_takes_its_measurement_along(g: float, holds: bool, di
         assert result(negative, claim) == "invalid"
 
 
+@pytest.mark.parametrize("own", [{"drop": 1}, {"scenarios": []}])
+def test_an_indefinite_Y_proves_no_switching(own: Document) -> None:
+    """F = 2, Y = -1: Y - F' Y F = 3 is positive all the same."""
+    how = "links drop and return, at most 1 at once"
+    how = how if "drop" in own else "the nominal network and 0 scenarios alternate"
+    said = f"The network block of the error dynamics stays stable however {how}."
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0, "reason": None, **own}
+    for a, Y, holds in ((2.0, -1.0, False), (2.0, 1.0, False), (0.5, 1.0, True), (0.5, 0.0, False)):
+        claim["proof"] = {"Y": [text([Y])]}
+        assert result(scalar_data(a), claim) == ("valid" if holds else "invalid")
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_intervals_are_as_narrow_as_the_proof_allows_and_no_narrower(seed: int) -> None:
     """The exact mean square deviation lies in every valid interval; half of the proven error is refused."""
