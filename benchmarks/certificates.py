@@ -1,7 +1,7 @@
 """Certify and check against ARPACK's time for the bare spectral radius, which proves nothing.
 
 Random geometric networks with about 8 neighbours a node, and the projectile.
-Finding is the iteration in floating point; proving is exact arithmetic; check.py is the whole process with the standard
+Finding is an iteration in floating point, proving exact arithmetic; check.py is the whole process with the standard
 library alone, reading of the file included. ARPACK computes the leading eigenvalues of the same sparse matrix.
 """
 

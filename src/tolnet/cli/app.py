@@ -9,7 +9,19 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import INTERRUPTED, certify, check, diff, example, performance, simulate, table, validate
+from tolnet.cli import (
+    INTERRUPTED,
+    certify,
+    check,
+    diff,
+    diffusion,
+    example,
+    observability,
+    performance,
+    simulate,
+    table,
+    validate,
+)
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -29,6 +41,8 @@ app.command("example")(example.example)
 app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
+app.command("observability")(observability.observability)
+app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)
 app.command("check")(check.check)
