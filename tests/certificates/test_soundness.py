@@ -126,7 +126,7 @@ def test_the_rate_is_exact(method: str) -> None:
     ],
 )
 def test_what_is_transposed_is_noticed(method: str, a: float, diagonal: tuple[float, float]) -> None:
-    """F = [[a, 1], [0, a]]: the diagonal matrix proves it from one side; turned round, it would from the other only."""
+    """F = [[a, 1], [0, a]]: the diagonal matrix proves it from one side only."""
     data = {**scalar_data(1.0), "n": 2, "A": text([a, 1, 0, a]), "process": {"Q": text([1, 0, 0, 1])}}
     for (x, y), expected in ((diagonal, "valid"), (diagonal[::-1], "invalid")):
         X = text([x, 0, y])
