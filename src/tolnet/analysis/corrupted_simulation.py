@@ -17,11 +17,12 @@ from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
 from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, DseaCp
+from tolnet.analysis.stacked import definite, inverse
 from tolnet.analysis.corrupted_truth import Truth, walk_corrupted
 from tolnet.model import CorruptedNetwork, UnsupportedError
 from tolnet.model.corrupted_simulation import CorruptedSimulation
 
-BATCH, MOST_NUMBERS = 100, 500_000
+BATCH, MOST_NUMBERS = 250, 500_000
 """Runs drawn from one child of the seed; fewer where one matrix a pair and run were more numbers than that."""
 CHANNEL_FILTERS: dict[str, type[ChannelFilter]] = {
     kind.name: kind for kind in (Drkf, DrkfSwf, Ckf, CkfTau, Crkf, Csgf, DseaCp)
@@ -226,11 +227,11 @@ class _Record:
             return
         every = len(P) == len(self.good)
         self.P[k] = P[self.good].sum(axis=0) if every else P[0] * self.alive[k]
-        finite = np.asarray(np.isfinite(P).all(axis=(2, 3)))
-        values, U = np.linalg.eigh(np.where(finite[..., None, None], P, 0.0))
-        along = (U.mT @ self.e[k][..., None])[..., 0] ** 2 / values
-        positive = finite & (values[..., 0] > 0)
-        self.distance[k] = np.where(positive, along.sum(axis=-1), np.inf)  # no ellipsoid, and nothing in it
+        flat = P.reshape(-1, *P.shape[2:])
+        metric, positive = inverse(flat).reshape(P.shape), definite(flat).reshape(P.shape[:2])
+        e = self.e[k]
+        distance = ((metric @ e[..., None])[..., 0] * e).sum(axis=-1)
+        self.distance[k] = np.where(positive, distance, np.inf)  # else there is no ellipsoid, and nothing in it
 
     def sums(self) -> _Sums:
         """Add up the runs that stayed within reason."""

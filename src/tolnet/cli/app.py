@@ -9,7 +9,7 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import INTERRUPTED, diff, example, performance, simulate, table, validate
+from tolnet.cli import INTERRUPTED, diff, example, performance, simulate, table, validate, window
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
 app.command("simulate")(simulate.simulate)
+app.command("window")(window.window)
 app.command("diff")(diff.diff)
 
 
