@@ -5,6 +5,8 @@ from tolnet.analysis.corrupted_simulation import CHANNEL_FILTERS, channel_filter
 from tolnet.analysis.data import Record, tolerance_from_data
 from tolnet.analysis.detectability import Detectability, detectability
 from tolnet.analysis.divergence import gamma
+from tolnet.analysis.drkf_steady_state import follow_drkf, solve_drkf, sweep_drkf
+from tolnet.analysis.error_bound import error_bound
 from tolnet.analysis.error_dynamics import error_dynamics
 from tolnet.analysis.filters import evaluate_filters, follow_filters
 from tolnet.analysis.fusion_weights import solve_fusion_weights
@@ -12,6 +14,8 @@ from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.limits import published_bound, tolerance_limits
 from tolnet.analysis.local_tolerance import local_tolerances
 from tolnet.analysis.lyapunov import solve_lyapunov
+from tolnet.analysis.multiplicative_noise import multiplicative_noise_condition
+from tolnet.analysis.observability import robust_observability
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.analysis.simulation import simulate_filters
 from tolnet.analysis.steady_state import solve_local_steady_states, solve_steady_state, solve_steady_states
@@ -23,23 +27,29 @@ __all__ = [
     "Record",
     "channel_filters",
     "detectability",
+    "error_bound",
     "error_dynamics",
     "evaluate_filters",
+    "follow_drkf",
     "follow_filters",
     "follow_window",
     "gamma",
     "least_favourable_model",
     "local_tolerances",
+    "multiplicative_noise_condition",
     "published_bound",
     "simulate_corrupted",
     "simulate_filters",
     "simulate_least_favourable",
     "solve_fusion_weights",
+    "robust_observability",
+    "solve_drkf",
     "solve_local_steady_states",
     "solve_lyapunov",
     "solve_riccati",
     "solve_steady_state",
     "solve_steady_states",
+    "sweep_drkf",
     "tolerance_from_data",
     "tolerance_limits",
 ]

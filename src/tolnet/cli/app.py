@@ -9,7 +9,7 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import INTERRUPTED, diff, example, performance, simulate, table, validate, window
+from tolnet.cli import INTERRUPTED, diff, example, observability, performance, simulate, table, validate, window
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ app.command("example")(example.example)
 app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
+app.command("observability")(observability.observability)
 app.command("simulate")(simulate.simulate)
 app.command("window")(window.window)
 app.command("diff")(diff.diff)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -233,6 +234,53 @@ class CorruptedNetwork(Nodes):
         own = self.fusion.tocoo()
         return frozen(np.stack([own.row, own.col], axis=1).astype(np.int64))
 
+    def replaced(
+        self,
+        *,
+        fading_mean: Any = None,
+        fading_variance: Any = None,
+        multiplicative_variance: Any = None,
+        estimate_noise: Any = None,
+        matrix_noise: Any = None,
+    ) -> CorruptedNetwork:
+        """The same network with other fading, multiplicative noise or channel bounds, in the constructor's forms.
+
+        Bounds that are given count for every link. Raises InputError as the constructor does.
+        """
+        complaints, values = Complaints(), {}
+        if fading_mean is not None or fading_variance is not None:
+            mean = self.tau.given if fading_mean is None else fading_mean
+            variance = self.phi.given if fading_variance is None else fading_variance
+            found = parse_fading(mean, variance, self.N, complaints)
+            values["tau"], values["phi"] = found or (None, None)
+        if multiplicative_variance is not None:
+            values["mu"] = parse_variance(multiplicative_variance, complaints)
+        for letter, name, given in (
+            ("W_bar", "estimate_noise", estimate_noise),
+            ("D_bar", "matrix_noise", matrix_noise),
+        ):
+            if given is not None:
+                values[letter] = parse_channel(name, given, (), self.pairs, self.n, complaints)
+        complaints.raise_if_any()
+        return self._with(values)
+
+    def scaled(self, letter: str, factor: float) -> CorruptedNetwork:
+        """The same network with tau, phi, mu, W_bar or D_bar multiplied by a factor >= 0 at every instant.
+
+        Raises InputError where tau or phi leave their range, as the constructor does.
+        """
+        part: TimeVarying = getattr(self, letter)
+        if letter in ("tau", "phi"):
+            key = {"tau": "fading_mean", "phi": "fading_variance"}[letter]
+            return self.replaced(**{key: part.times(factor).given})
+        return self._with({letter: part.times(factor)})
+
+    def _with(self, values: dict[str, Any]) -> CorruptedNetwork:
+        other = copy.copy(self)
+        other.__dict__.pop("period", None)
+        other.__dict__.update(values)
+        return other
+
     def sensors(self, k: int) -> Packed:
         """C_{k,i} and R_{k,i} of every node, packed."""
         return Packed(self.C(k), self.rows, self.R(k))
@@ -284,22 +332,28 @@ def _parse_plant(A: Any, B: Any, Q: Any, F: Any, mu: Any, complaints: Complaints
         factor = checks.shaped(value, (n, None), key, f"{many} x m", more)
         return None if factor is None else covariance(sensors.gramian(factor), key, more)
 
+    if (B is None) == (Q is None):
+        complaints.add("plant", f"has {'neither' if B is None else 'both'} B and Q; exactly one was expected")
+    noise = over_time(B, 2, "plant.B", gramian, complaints) if Q is None else None
+    noise = noise if Q is None else over_time(Q, 2, "plant.Q", covariance, complaints)
+    mu = parse_variance(mu, complaints)
+    if F is None:
+        F = np.zeros((n or 0, n or 0))
+        if mu is not None and (mu.values is None or mu.values.any()):
+            complaints.add("plant.F", "is missing: multiplicative_variance is not 0")
+    return {"A": found, "F": over_time(F, 2, "plant.F", square, complaints), "Q": noise, "mu": mu}
+
+
+def parse_variance(mu: Any, complaints: Complaints) -> TimeVarying | None:
+    """mu over time, numbers >= 0."""
+
     def variance(value: Any, key: str, more: Complaints) -> ndarray | None:
         number = checks.number(value, key, "a number >= 0", more)
         if number is not None and number < 0:
             more.add(key, f"is {checks.shown(value)}; a number >= 0 was expected")
         return None if number is None else np.array(number)
 
-    if (B is None) == (Q is None):
-        complaints.add("plant", f"has {'neither' if B is None else 'both'} B and Q; exactly one was expected")
-    noise = over_time(B, 2, "plant.B", gramian, complaints) if Q is None else None
-    noise = noise if Q is None else over_time(Q, 2, "plant.Q", covariance, complaints)
-    mu = over_time(mu, 0, "plant.multiplicative_variance", variance, complaints)
-    if F is None:
-        F = np.zeros((n or 0, n or 0))
-        if mu is not None and (mu.values is None or mu.values.any()):
-            complaints.add("plant.F", "is missing: multiplicative_variance is not 0")
-    return {"A": found, "F": over_time(F, 2, "plant.F", square, complaints), "Q": noise, "mu": mu}
+    return over_time(mu, 0, "plant.multiplicative_variance", variance, complaints)
 
 
 def _non_singular(value: Any, n: int | None, key: str, complaints: Complaints) -> ndarray | None:
@@ -351,10 +405,11 @@ def _parse_start(
         mean = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {many}", complaints)
     mean = np.zeros(width) if mean is None else mean
     if sensors.by_node(P_0) and len(P_0) == N and all(np.ndim(item) == 2 or item is None for item in P_0):
-        given = [np.eye(width) if item is None else item for item in P_0]
         found = [
-            checks.covariance(item, n, f"sensors[{i}].initial_covariance", complaints, definite=True)
-            for i, item in enumerate(given)
+            np.eye(width)
+            if item is None
+            else checks.covariance(item, n, f"sensors[{i}].initial_covariance", complaints, definite=True)
+            for i, item in enumerate(P_0)
         ]
     elif isinstance(P_0, ndarray) and P_0.ndim == 3:
         if N is not None and len(P_0) != N:
@@ -370,7 +425,8 @@ def _parse_start(
         if P_0 is not None:
             one = checks.covariance(P_0, n, "plant.initial_covariance", complaints, definite=True)
         found = [one] * (N or 0)
-    P_0 = None if any(item is None for item in found) else np.array(found).reshape(-1, width, width)
+    known = n is not None and not any(item is None for item in found)
+    P_0 = np.array(found).reshape(len(found), width, width) if known else None
     if Pi_0 is not None:
         Pi_0 = checks.covariance(Pi_0, n, "plant.initial_second_moment", complaints, definite=False)
     elif P_0 is not None and len(P_0):

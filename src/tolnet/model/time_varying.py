@@ -56,6 +56,19 @@ class TimeVarying:
             raise InputError("is a function of k; a constant or periodic quantity was expected")
         return self.values
 
+    @property
+    def given(self) -> Any:
+        """The same as constructors take it: an array, without an axis for a period of one, or the function."""
+        if self.values is None:
+            return self.function
+        return self.values[0] if len(self.values) == 1 else self.values
+
+    def times(self, factor: float) -> TimeVarying:
+        """The same quantity multiplied by a factor."""
+        if self.values is not None:
+            return TimeVarying(self.values * factor)
+        return function_of_time(lambda k: self(k) * factor)
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         if self.values is not None:
