@@ -30,6 +30,7 @@ CHANNEL_FILTERS: dict[str, type[ChannelFilter]] = {
 """The filters by name."""
 _ABSURD = 1e12
 """A squared error this many times the bound of the squared state is no estimate of it."""
+_LARGEST = 1e300
 
 Progress = Callable[[int, int], None]
 
@@ -190,14 +191,14 @@ class _Job:
         )
         running = [self._filter(name, size) for name in self.names]
         records = [_Record(each, size, self.steps) for each in running]
-        ahead: list[Moment | None] = [None, *moments(self.network, self.steps)]
         with np.errstate(all="ignore"):  # a filter that diverges is told of in words
+            ahead: list[Moment | None] = [None, *moments(self.network, self.steps)]
             for moment, drawn in zip(ahead, walk, strict=True):
                 Pi = self.network.initial_second_moment if moment is None else moment.Pi
                 for each, record in zip(running, records, strict=True):
                     if moment is not None:
                         each.step(moment, drawn)
-                    record.note(drawn.k, drawn.x, _ABSURD * float(np.trace(Pi)))
+                    record.note(drawn.k, drawn.x, min(_ABSURD * float(np.trace(Pi)), _LARGEST))
             return [record.sums() for record in records]
 
     def _filter(self, name: str, runs: int) -> ChannelFilter:
