@@ -16,21 +16,23 @@ from tolnet.model import SensorNetwork, Status, ToleranceTable
 SHIPPED = ("unstable-path", "unstable-ring", "unstable-metropolis")
 
 
-def unstable_weightings(count: int) -> list[tuple[SensorNetwork, ToleranceTable]]:
-    """Stable local filters that their own uniform or random weights make unstable (docs/mathematics.md, section 7)."""
-    rng = np.random.default_rng(7)
-    found = []
-    while len(found) < count:
-        n, N = int(rng.integers(2, 4)), int(rng.integers(3, 7))
-        A = rng.normal(size=(n, n))
-        A *= rng.uniform(1.2, 1.8) / np.abs(np.linalg.eigvals(A)).max()
-        edges = [[k, k + 1] for k in range(N - 1)] + ([[0, N - 1]] if rng.random() < 0.5 else [])
-        C = rng.normal(size=(N, 1, n)) * 10 ** rng.uniform(-1.5, 2.5, (N, 1, 1))
-        network = SensorNetwork(A=A, B=np.eye(n), C=C, R=np.ones((N, 1, 1)), edges=edges, diffusion="uniform")
-        table = design.choose_tolerances(network, 0.0)
-        if table.ok and performance(network, table, "uniform").status == Status.UNSTABLE:
-            found.append((network, table))
-    return found
+UNSTABLE_SEEDS = (1152, 1966, 2467)
+"""The first seeds whose network, drawn as below, uniform weights make unstable: one in a thousand."""
+
+
+def unstable_weightings(seed: int) -> tuple[SensorNetwork, ToleranceTable]:
+    """Stable local filters on a path or a ring that uniform weights make unstable (docs/mathematics.md, section 7)."""
+    rng = np.random.default_rng(seed)
+    n, N = int(rng.integers(2, 4)), int(rng.integers(3, 7))
+    A = rng.normal(size=(n, n))
+    A *= rng.uniform(1.2, 1.8) / np.abs(np.linalg.eigvals(A)).max()
+    edges = [[k, k + 1] for k in range(N - 1)] + ([[0, N - 1]] if rng.random() < 0.5 else [])
+    C = rng.normal(size=(N, 1, n)) * 10 ** rng.uniform(-1.5, 2.5, (N, 1, 1))
+    network = SensorNetwork(A=A, B=np.eye(n), C=C, R=np.ones((N, 1, 1)), edges=edges, diffusion="uniform")
+    table = design.choose_tolerances(network, 0.0)
+    assert table.ok
+    assert performance(network, table, "uniform").status == Status.UNSTABLE
+    return network, table
 
 
 def performance(network: SensorNetwork, table: ToleranceTable, rule: str):
@@ -52,13 +54,13 @@ def naive_margin(X: ndarray, M: ndarray, W: ndarray, r: float) -> float:
     return float(least)
 
 
-@pytest.mark.parametrize("objective", ["decay", "msd"])
-def test_unstable_weights_become_stable(objective: str):
-    for network, table in unstable_weightings(3):
-        found = design.optimise_diffusion(network, table, objective)  # pyright: ignore[reportArgumentType]
+@pytest.mark.parametrize("seed", UNSTABLE_SEEDS)
+def test_unstable_weights_become_stable(seed: int):
+    network, table = unstable_weightings(seed)
+    for objective in ("decay", "msd"):
+        found = design.optimise_diffusion(network, table, objective)
         assert found.status == Status.OK
         assert found.spectral_radius < 1
-        assert np.isnan(found.baseline_msd) or objective == "msd"
         if objective == "decay":
             assert found.certificate is not None
             assert found.value < 1 < found.baseline
@@ -100,7 +102,7 @@ def _diagonal(M: ndarray) -> ndarray:
 
 
 def test_the_x_step_solves_its_semidefinite_program():
-    network, table = unstable_weightings(1)[0]
+    network, table = unstable_weightings(UNSTABLE_SEEDS[0])
     columns, M = columns_of(network.adjacency), local_loops(table)
     moments = SecondMoments(columns, M)
     alone = (columns.sender == columns.hearer) * 0.9 + 0.1 / columns.degree[columns.hearer]
