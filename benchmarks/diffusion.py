@@ -1,9 +1,9 @@
 """The gradient of MSD in W against central differences and a dense adjoint by scipy; seconds to convergence.
 
-Networks of the published plant (n = 6, three groups of two states) on a random geometric graph of degree about 12. A value and a
-gradient by `NetworkErrors` is compared, on the smallest network, with scipy's Lyapunov solver for Q and for the adjoint on the
-whole F, and with one central difference for each weight (a sample, multiplied). `to convergence` is the whole of
-`design.optimise_diffusion`, starts and final evaluation included; IPOPT, on the smallest network, gets the same starts and gradients.
+Networks of the published plant (n = 6, three groups of two states) on a random geometric graph of degree about 12. A
+value and a gradient by `NetworkErrors` is compared, on the smallest network, with scipy's Lyapunov solver for Q and for the
+adjoint on the whole F, and with one central difference a weight (a sample, multiplied). `to convergence` is the whole of
+`design.optimise_diffusion`, starts and final evaluation included; IPOPT, on the smallest network, gets the same starts.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def compare(N: int) -> None:
         return errors.gradient(errors.solve(w), a)[0]
 
     lines = [measure("value and gradient", gradient, 5 if N <= 100 else 1)]
-    if N <= SIZES[0]:
+    if min(SIZES) == N:
         found, peer = gradient(), dense_adjoint(network, table, errors, w, a)
         np.testing.assert_allclose(found, peer, rtol=1e-7, atol=1e-9 * np.abs(peer).max())
         lines.append(measure("scipy, Q and adjoint", lambda: dense_adjoint(network, table, errors, w, a), 3))
@@ -51,7 +51,7 @@ def compare(N: int) -> None:
     title = f"Diffusion weights, N = {N:,}, {len(w):,} weights"
     whole, result = measure_once("to convergence", lambda: design.optimise_diffusion(network, table))
     lines.append(whole)
-    if N <= SIZES[0]:
+    if min(SIZES) == N:
         ipopt, other = measure_once(
             "to convergence, IPOPT", lambda: design.optimise_diffusion(network, table, method="ipopt")
         )
@@ -59,8 +59,8 @@ def compare(N: int) -> None:
         print(f"  IPOPT ends {other.value / result.value - 1:+.1e} from the quasi-Newton method")
     show(title, lines)
     print(
-        f"  MSD {result.baseline:.6g} -> {result.value:.6g}, bound {result.bound:.6g}: gap closed {result.gap_closed:.1%},"
-        f" {result.evaluations} evaluations, {'' if result.converged else 'not '}converged"
+        f"  MSD {result.baseline:.6g} -> {result.value:.6g}, bound {result.bound:.6g}:"
+        f" gap closed {result.gap_closed:.1%}, {result.evaluations} evaluations, {'' if result.converged else 'not '}converged"
     )
 
 

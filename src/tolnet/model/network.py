@@ -164,7 +164,7 @@ class SensorNetwork:
         return changed
 
     def relinked(self, links: Int[ndarray, "E 2"]) -> SensorNetwork:
-        """The same network on other links [from, to]; it comes from no file, and weights give way to the default rule.
+        """The same network on other links [from, to]; from no file; weights give way to the default rule.
 
         Raises InputError for links that are no links of these nodes.
         """
