@@ -27,7 +27,8 @@ def findings(document: Document) -> list[Finding]:
 def is_accepted(document: Document) -> bool:
     """Whether some claim is valid; if one is, it must be true."""
     accepted = False
-    for claim, finding in zip(document.get("claims", []), findings(document), strict=False):
+    for i, finding in enumerate(findings(document)):
+        claim = document["claims"][i]
         assert finding.result in ("valid", "invalid", "undecided", "not checked here")
         if finding.result == "valid":
             accepted = True

@@ -16,6 +16,7 @@ from tolnet.cli import (
     diff,
     diffusion,
     example,
+    observability,
     performance,
     simulate,
     table,
@@ -40,6 +41,7 @@ app.command("example")(example.example)
 app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
+app.command("observability")(observability.observability)
 app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)

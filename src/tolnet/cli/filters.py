@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from scipy.sparse import csr_array
 
-    from tolnet.model import Convention, ToleranceTable
+    from tolnet.model import Convention, SensorNetwork, ToleranceTable
     from tolnet.report.filters import FilterReport
 
 NO_ANSWER = 4
@@ -49,8 +49,9 @@ def prepare_filters(
     outputs: list[Path],
     plot: Path | None,
     console: Console,
+    network: SensorNetwork | None = None,
 ) -> Setting:
-    """Check everything that was given, and solve the table.
+    """Check everything that was given, and solve the table; `network` is the problem where it was read already.
 
     Raises InputError or UnsupportedError for files that cannot be written, an unknown filter, an unknown rule or one
     that the graph refuses, or tau other than 0.
@@ -60,7 +61,7 @@ def prepare_filters(
 
     check_outputs(outputs, REPORT_SUFFIXES, inputs=[problem], plot=plot)
     names = _choose_filters(filters)
-    network = open_problem(problem, console)
+    network = network or open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     if ambiguity.tau != 0:
         raise UnsupportedError(
@@ -85,7 +86,7 @@ def _choose_filters(text: str | None) -> list[str] | None:
     from tolnet.model import InputError
     from tolnet.model.history import FILTERS
 
-    if text is None:
+    if text is None or text.strip().lower() == "all":
         return None
     words = [word.strip().upper() for word in text.split(",")]
     for word in words:
