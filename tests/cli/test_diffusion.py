@@ -105,6 +105,20 @@ def test_rules_and_objectives_side_by_side_and_links(tolnet: Tolnet, small: Path
     assert f"{links[0]['from']}-{links[0]['to']}" in said
 
 
+def test_the_gain_table_is_what_certify_reads(tolnet: Tolnet, small: Path, tmp_path: Path):
+    table = tmp_path / "gains.npz"
+    ran = tolnet("diffusion", small, "--with-gains", "--gain-table", table, "--json")
+    assert ran.code == 0
+    certified = tolnet("certify", small, "--table", table, "--claims", "schur-stability,performance", "--json")
+    claims = {claim["claim"]: claim for claim in certified.document["claims"]}
+    assert claims["schur-stability"]["verdict"] == "proved"
+    with np.load(table, allow_pickle=False) as arrays:
+        W = np.zeros((4, 4))
+        own = np.repeat(np.arange(4), np.diff(arrays["neighbour_offsets"]))
+        W[arrays["neighbours"], own] = arrays["weights"]
+    assert all(W[l, k] == w for l, k, w in ran.document["weights"])
+
+
 def test_gains_scenarios_and_constraints(tolnet: Tolnet, small: Path, tmp_path: Path):
     plain = tolnet("diffusion", small, "--json").document
     gains = tolnet("diffusion", small, "--with-gains", "-o", tmp_path / "g.npz", "--json").document
