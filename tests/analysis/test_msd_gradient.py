@@ -11,7 +11,7 @@ from tests.instances_random import random_network
 from tolnet import analysis, design
 from tolnet.analysis import msd_gradient
 from tolnet.analysis.msd_gradient import NetworkErrors
-from tolnet.design.weights.optimise import folded
+from tolnet.design.weights.setting import folded
 from tolnet.model import SensorNetwork, ToleranceTable
 from tolnet.model.examples import projectile
 

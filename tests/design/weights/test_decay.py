@@ -10,7 +10,7 @@ from numpy import ndarray
 from tolnet import analysis, design, model
 from tolnet.analysis.curvature import columns_of
 from tolnet.design.weights.decay import SecondMoments, certify, margin_of
-from tolnet.design.weights.optimise import local_loops
+from tolnet.design.weights.setting import local_loops
 from tolnet.model import SensorNetwork, Status, ToleranceTable
 
 SHIPPED = ("unstable-path", "unstable-ring", "unstable-metropolis")

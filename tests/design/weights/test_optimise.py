@@ -170,7 +170,7 @@ def test_scenarios(small, best: Diffusion):
     tables = [table, design.choose_tolerances(network, 0.04), lost]
     found = design.optimise_diffusion(network, table, "robust", scenarios=tables)
     check_admissible(found)
-    from tolnet.design.weights.optimise import folded
+    from tolnet.design.weights.setting import folded
 
     each = [evaluated(t.network, t, folded(found.W, t.network)).mean() for t in tables]
     assert found.value == pytest.approx(max(each), rel=1e-9)
