@@ -47,14 +47,6 @@ def test_published_values(name: str):
     assert abs(np.linalg.eigvalsh(W))[:-1].max(initial=0.0) == pytest.approx(known, abs=1e-6)
 
 
-def test_the_weights_of_the_wheel():
-    edges, N, _ = KNOWN["wheel of 5"]
-    W = fastest(network(edges, N), symmetric=True).W.toarray()
-    rim = 0.375 * (np.roll(np.eye(4), 1, axis=0) + np.roll(np.eye(4), -1, axis=0))
-    np.testing.assert_allclose(W[:4, :4], rim, atol=1e-5)
-    np.testing.assert_allclose(W[4], [0.25, 0.25, 0.25, 0.25, 0.0], atol=1e-5)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_weights_that_need_not_be_symmetric_mix_at_least_as_fast(seed: int):
     rng = np.random.default_rng(seed)
