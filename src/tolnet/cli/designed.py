@@ -17,7 +17,7 @@ from tolnet.cli.console import Console
 from tolnet.cli.documents import write
 from tolnet.cli.evidence import Evidence
 from tolnet.design.export import opening
-from tolnet.design.export.deployment import Deployment
+from tolnet.design.weights.gains import deployment_of
 from tolnet.model import Ambiguity, Diffusion
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def write_certificate(found: Diffusion, ambiguity: Ambiguity, path: Path, consol
     It speaks of the whole F, or of the network's block alone where the least favourable block, which no W changes,
     decays more slowly than the design.
     """
-    deployed = _deployed(found)
+    deployed = deployed_of(found.table.network, found.table.central, deployment_of(found))
     with console.progress("certificate") as progress:
         if found.certificate is not None and not _centre_keeps_up(deployed, found.certificate.rate):
             deployed = replace(deployed, centre=None)
@@ -43,13 +43,6 @@ def write_certificate(found: Diffusion, ambiguity: Ambiguity, path: Path, consol
         heading = opening(SCHEMA, found.table.network, status, ambiguity)
         write(path, certificate_json(heading, deployed.data(), verdicts))
     return verdicts
-
-
-def _deployed(found: Diffusion) -> Deployed:
-    deployment = Deployment.of(found.table, found.W)
-    if found.gains is not None:
-        deployment = replace(deployment, gains=np.ascontiguousarray(found.gains.gains))
-    return deployed_of(found.table.network, found.table.central, deployment)
 
 
 def _centre_keeps_up(deployed: Deployed, r: float) -> bool:

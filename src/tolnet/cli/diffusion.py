@@ -83,6 +83,10 @@ def diffusion(
             metavar="FILE", help="Prove what was designed stable: a certificate for `tolnet check` (.json)."
         ),
     ] = None,
+    gain_table: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the table that is deployed, W and gains in it (.npz)."),
+    ] = None,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
@@ -97,6 +101,8 @@ def diffusion(
     check_outputs(outputs, SUFFIXES, inputs=[problem], plot=plot)
     if certificate is not None:
         check_outputs([certificate], [".json"], inputs=[problem, *map(str, outputs)])
+    if gain_table is not None:
+        check_outputs([gain_table], [".npz"], inputs=[problem, *map(str, outputs)])
     network = open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     constraints = _constraints(network, ambiguity, own_weight, max_neighbours, symmetric)
@@ -125,6 +131,10 @@ def diffusion(
         )
     rivals, links = _more(found, ambiguity, constraints, compare, add_links, console)
     _tell(found, rivals, links, console, outputs, plot)
+    if gain_table is not None:
+        _deploy(found, gain_table)
+        console.wrote([gain_table])
+        console.suggest(f"tolnet certify {shlex.quote(problem)} --table {shlex.quote(str(gain_table))}")
     if certificate is not None and found.status != "no-steady-state":
         _prove(found, ambiguity, certificate, console)
     if found.interrupted:
@@ -251,6 +261,16 @@ def _scenarios(
             shorter = network.relinked(np.array(kept, dtype=np.int64).reshape(-1, 2))
             tables.append(design.choose_tolerances(shorter, ambiguity))
     return tables
+
+
+def _deploy(found: Diffusion, path: Path) -> None:
+    """The tolerance table with the designed weights and gains in the place of its own."""
+    from tolnet.design.export.arrays import write_npz
+    from tolnet.design.weights.gains import deployment_of
+    from tolnet.model import replacing
+
+    with replacing(path) as file:
+        write_npz(found.table, file, deployment=deployment_of(found))
 
 
 def _prove(found: Diffusion, ambiguity: Ambiguity, path: Path, console: Console) -> None:

@@ -14,7 +14,8 @@ from tolnet.design.diffusion import diffusion_matrix
 from tolnet.design.weights.admissible import Constraints
 from tolnet.design.weights.decay import SecondMoments
 from tolnet.design.weights.mixing import distance_from_average, is_connected
-from tolnet.design.weights.optimise import local_loops, optimise_diffusion
+from tolnet.design.weights.optimise import optimise_diffusion
+from tolnet.design.weights.setting import local_loops
 from tolnet.model import DIFFUSION_RULES, SensorNetwork, ToleranceTable, UnsupportedError
 
 _NORM_UP_TO = 2000

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis.msd_gradient import NetworkErrors
-from tolnet.model import ErrorDynamics, GainTable, SensorNetwork
+from tolnet.design.export.deployment import Deployment
+from tolnet.model import Diffusion, ErrorDynamics, GainTable, SensorNetwork
 
 
 def pack_gains(
@@ -27,6 +30,14 @@ def pack_gains(
         own, T = readings[l]
         gains[columns[i] : columns[i + 1]] = (h[k][:, own] @ T).T
     return GainTable(offsets, neighbours, columns, gains)
+
+
+def deployment_of(found: Diffusion) -> Deployment:
+    """What every node is given: the designed W, and the designed gains or else those of the table."""
+    deployment = Deployment.of(found.table, found.W)
+    if found.gains is None:
+        return deployment
+    return replace(deployment, gains=np.ascontiguousarray(found.gains.gains))
 
 
 def _reading(

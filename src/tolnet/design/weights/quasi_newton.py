@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -31,6 +31,7 @@ _NEGLIGIBLE = 1e-4
 """A step within the model that promises less than this part of its first one is its last."""
 
 
+@runtime_checkable
 class Objective(Protocol):
     """What is minimised."""
 
