@@ -30,7 +30,7 @@ def test_each_filter_is_a_line_in_its_colour(found: dict[str, CorruptedSimulatio
     mse = figure.axes[0]
     solid = {to_hex(line.get_color()): line for line in mse.lines if line.get_linestyle() == "-"}
     for name, each in found.items():
-        np.testing.assert_allclose(solid[COLOURS[name]].get_ydata(), 10 * np.log10(each.mse), rtol=1e-12)
+        np.testing.assert_allclose(np.asarray(solid[COLOURS[name]].get_ydata()), 10 * np.log10(each.mse), rtol=1e-12)
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == list(found)
 
