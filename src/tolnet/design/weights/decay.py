@@ -196,7 +196,7 @@ def design_decay(
                     break
     except KeyboardInterrupt:
         interrupted = True
-    W = make_admissible(columns, w)
+    W = make_admissible(among, w)
     final = np.asarray(W[columns.sender, columns.hearer]).ravel()
     certificate = certify(moments, final)
     bound = rate_bound(moments, among, certificate)

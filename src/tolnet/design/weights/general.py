@@ -111,6 +111,8 @@ def search_general(
                 return found
         end = objective.exact(unknowns.weights(u))
         found.starts = [Start(s.name, s.value, end) if s.name == name else s for s in found.starts]
+    if found.z is not None and not symmetric:
+        found.z = among.project(found.z)  # IPOPT keeps its bounds to 1e-8
     return found
 
 

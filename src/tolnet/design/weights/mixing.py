@@ -47,7 +47,7 @@ def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constr
     if network.N == 1:
         return MixingDesign(sparse.csr_array(np.ones((1, 1))), 0.0, 0.0, 0.0)
     w, Z = (_solve_symmetric if constraints.symmetric else _solve)(among)
-    W = make_admissible(among.columns, w, symmetric=constraints.symmetric)
+    W = make_admissible(among, w, symmetric=constraints.symmetric)
     least = _least_symmetric if constraints.symmetric else _least
     mean = np.full((network.N, network.N), 1 / network.N)
     bound = max((least(among, X) - float((X * mean).sum())) / np.linalg.norm(X, "nuc") for X in (Z, -Z))
