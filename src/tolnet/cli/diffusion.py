@@ -294,18 +294,21 @@ def _more(
     """The comparison and the links, where they were asked for and nothing was interrupted."""
     rivals: list[Rival] = []
     links: list[AddedLink] = []
-    if compare and not found.interrupted:
-        from tolnet.design.weights.compare import compare_diffusions
+    try:
+        if compare and not found.interrupted:
+            from tolnet.design.weights.compare import compare_diffusions
 
-        with console.progress("all rules and objectives") as progress:
-            rivals = compare_diffusions(found.table.network, found.table, constraints, watch=progress.say)
-    if add_links is not None and not found.interrupted and found.status.has_numbers:
-        from tolnet.design.weights.topology import add_links as rank_links
+            with console.progress("all rules and objectives") as progress:
+                rivals = compare_diffusions(found.table.network, found.table, constraints, watch=progress.say)
+        if add_links is not None and not found.interrupted and found.status.has_numbers:
+            from tolnet.design.weights.topology import add_links as rank_links
 
-        with console.progress("links") as progress:
-            links = rank_links(found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say)
-        if links[-1].interrupted:
-            console.note("interrupted: these are the links that were found so far")
+            with console.progress("links") as progress:
+                links = rank_links(found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say)
+            if links[-1].interrupted:
+                console.note("interrupted: these are the links that were found so far")
+    except KeyboardInterrupt:
+        console.note("interrupted: the weights were found, and are written; not all that was asked beside them")
     return rivals, links
 
 

@@ -72,14 +72,14 @@ def optimise_diffusion(
 
     MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of its centre; `with_gains`
     makes every node's gain a variable too, on its own neighbours, and W, gains and model are then one design.
-    `method` None of the general solvers: `quasi-newton` unless W must be symmetric, which takes `ipopt`.
+    `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
 
     The result is never worse than any rule, or any design by semidefinite programming that it started from; it is a
     local minimum otherwise. Where the filters have no performance (their status), W is the baseline and says why.
-    Raises InputError for constraints that nothing satisfies, or arguments that do not fit; UnsupportedError for tau
-    other than 0, a graph that is not connected with `mixing`, and combinations that are not offered.
-    Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0024.
+    Raises InputError for constraints that nothing satisfies, arguments that do not fit, or a graph that is not connected
+    with `mixing`; UnsupportedError for tau other than 0, unknown words, and networks too large for `mixing`.
+    Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0022.
     """
     constraints = constraints or Constraints()
     _check(network, table, objective, nodes, scenarios, with_gains, method, constraints)
