@@ -52,13 +52,13 @@ TOLERANCE = 1e-7
 def optimise_diffusion(
     network: SensorNetwork,
     table: ToleranceTable,
-    objective: Objective = "msd",
+    objective: Objective | str = "msd",
     *,
     nodes: Float[ndarray, " N"] | None = None,
     constraints: Constraints | None = None,
     scenarios: Sequence[ToleranceTable] | None = None,
     with_gains: bool = False,
-    method: Method = "auto",
+    method: Method | str = "auto",
     watch: Watch = lambda what, value: None,
 ) -> Diffusion:
     """The best W that can be found, column-stochastic on the graph and nonnegative, eq. (11), for an objective:
@@ -150,7 +150,7 @@ def _by_msd(
     tables: list[ToleranceTable],
     criterion: Criterion,
     with_gains: bool,
-    method: Method,
+    method: str,
     watch: Watch,
 ) -> Diffusion:
     network, among = at.network, at.among
@@ -169,7 +169,7 @@ def _by_msd(
     d = at.constraints.max_neighbours
     if at.constraints.symmetric or method == "ipopt":
         found = search_general(problem, among, starts, symmetric=at.constraints.symmetric, watch=watch)
-    elif d is not None:
+    elif d is not None and d < network.degree.max():
         found = search_sparse(problem, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
     else:
         found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)
