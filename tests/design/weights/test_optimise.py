@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy import ndarray
@@ -210,7 +212,8 @@ def test_bounds_on_own_weights_and_on_neighbours(small, best: Diffusion):
 
 def test_an_interrupt_keeps_the_best_so_far(small, best: Diffusion):
     network, table = small
-    for asked in ({}, {"constraints": design.Constraints(max_neighbours=2)}, {"objective": "decay"}):
+    ways: list[dict[str, Any]] = [{}, {"constraints": design.Constraints(max_neighbours=2)}, {"objective": "decay"}]
+    for asked in ways:
         calls = []
 
         def stop(what: str, value: float, calls: list[float] = calls) -> None:

@@ -124,7 +124,7 @@ def _check(
         complaints.append(Complaint("scenarios", f"are given; the objective {objective!r} has one"))
     for number, scenario in enumerate(scenarios or ()):
         other = scenario.network
-        if other.N != network.N or other.n != network.n or (other.adjacency > network.adjacency).nnz:
+        if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
             complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
     if with_gains and objective not in ("msd", "worst"):
         complaints.append(Complaint("with_gains", f"cannot be combined with the objective {objective!r}"))
