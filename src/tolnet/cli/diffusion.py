@@ -137,6 +137,9 @@ def diffusion(
         console.suggest(f"tolnet certify {shlex.quote(problem)} --table {shlex.quote(str(gain_table))}")
     if certificate is not None and found.status != "no-steady-state":
         _prove(found, ambiguity, certificate, console)
+        designed = next((path for path in outputs if path.suffix.lower() == ".toml"), None)
+        against = repeated(problem=designed, table=gain_table if designed is not None else None)
+        console.suggest(f"tolnet check {shlex.quote(str(certificate))}{against}")
     if found.interrupted:
         console.note("interrupted: these are the best weights so far")
     options = repeated(tolerance=tolerance, convention=convention)
@@ -280,7 +283,6 @@ def _prove(found: Diffusion, ambiguity: Ambiguity, path: Path, console: Console)
     for verdict in write_certificate(found, ambiguity, path, console):
         console.show(f"{verdict.verdict}: {verdict.statement}")
     console.wrote([path])
-    console.suggest(f"tolnet check {shlex.quote(str(path))}")
 
 
 def _more(
