@@ -31,7 +31,8 @@ def followed(network: CorruptedNetwork, name: str, walk: list[CorruptedInstant])
         each.step(moment, instant)
         x.append(each.x)
         P.append(each.P)
-    return np.stack(x), None if each.P is None else np.stack([np.broadcast_to(p, (RUNS, *p.shape[1:])) for p in P])
+    every = [np.broadcast_to(p, (RUNS, *p.shape[1:])) for p in P if p is not None]
+    return np.stack(x), np.stack(every) if every else None
 
 
 NETWORKS = {

@@ -51,12 +51,15 @@ def refuted(method: str, **witness: Any) -> Document:
     }
 
 
-ONE, EVERY = text([1.0]), {
-    "primal": {"X": [text([1.0])]},
-    "dual": {"Y": [text([1.0])]},
-    "power": {"power": 2, "X": [text([1.0])], "shares": [text([1.0])]},
-    "full": {"X": text([1.0])},
-}
+ONE, EVERY = (
+    text([1.0]),
+    {
+        "primal": {"X": [text([1.0])]},
+        "dual": {"Y": [text([1.0])]},
+        "power": {"power": 2, "X": [text([1.0])], "shares": [text([1.0])]},
+        "full": {"X": text([1.0])},
+    },
+)
 
 
 @NEAR
@@ -209,8 +212,10 @@ def test_a_link_that_drops_takes_its_measurement_along(g: float, holds: bool, di
     how = {} if directed else {"drop 1": {"drop": 1}}
     how |= {"every link": {"scenarios": [{"drop": [[0, 1], [1, 0]] if directed else [[0, 1]]}]}}
     for name, own in how.items():
-        tail = "links drop and return, at most 1 at once" if "drop" in own else (
-            "the nominal network and 1 scenarios alternate"
+        tail = (
+            "links drop and return, at most 1 at once"
+            if "drop" in own
+            else ("the nominal network and 1 scenarios alternate")
         )
         claim = {
             "claim": "switching",
@@ -224,6 +229,29 @@ def test_a_link_that_drops_takes_its_measurement_along(g: float, holds: bool, di
         assert result(data, claim) == ("valid" if holds else "invalid"), name
         negative = {**data, "weights": [text([1.5, -0.5])] * 2}
         assert result(negative, claim) == "invalid"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "holds"),
+    [
+        ({}, True),
+        ({"weights": [text([0.5, 0.25])] * 2}, True),
+        ({"weights": [text([0.5, 1.5])] * 2}, False),
+        ({"gains": [text([0.25 + TINY, 0.25])] * 2}, True),
+        ({"gains": [text([0.25, 0.25])] * 2}, False),
+        ({"gains": [text([0.0, 0.0]), text([0.5, 0.5])]}, False),
+        ({"weights": [text([0.25, 0.25])] * 2, "gains": [text([0.25, 0.25])] * 2}, True),
+    ],
+)
+def test_every_scenario_counts(scenario: Document, holds: bool) -> None:
+    """M = 3/2 less both gains, Y = 1: stable together, whatever the order of the scenarios."""
+    how = "the nominal network and 2 scenarios alternate"
+    said = f"The network block of the error dynamics stays stable however {how}."
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0, "reason": None}
+    claim["proof"] = {"Y": [ONE] * 2}
+    for scenarios in ([scenario, {}], [{}, scenario]):
+        found = result(switching_data(1.5, 0.5), claim | {"scenarios": scenarios})
+        assert found == ("valid" if holds else "invalid")
 
 
 @pytest.mark.parametrize("own", [{"drop": 1}, {"scenarios": []}])

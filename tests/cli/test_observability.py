@@ -63,7 +63,7 @@ def test_a_form_a_window_and_a_horizon_can_be_asked_for(two: Path, tolnet: Tolne
     options = ("--form", "classical", "--window", 3, "--horizon", 10)
     document = tolnet("observability", two, *options, "--json").document
     assert (document["form"], document["window"], document["horizon"]) == ("classical", 3, 10)
-    assert len(document["alpha_over_time"]) == 8
+    assert len(document["alpha_over_time"]) == 9  # 0..10 are 11 instants
     assert document["alpha_limit"] is None
 
 

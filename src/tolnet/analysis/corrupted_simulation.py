@@ -17,11 +17,12 @@ from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
 from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, DseaCp
+from tolnet.analysis.stacked import definite, inverse
 from tolnet.analysis.corrupted_truth import Truth, walk_corrupted
 from tolnet.model import CorruptedNetwork, UnsupportedError
 from tolnet.model.corrupted_simulation import CorruptedSimulation
 
-BATCH, MOST_NUMBERS = 100, 500_000
+BATCH, MOST_NUMBERS = 250, 500_000
 """Runs drawn from one child of the seed; fewer where one matrix a pair and run were more numbers than that."""
 CHANNEL_FILTERS: dict[str, type[ChannelFilter]] = {
     kind.name: kind for kind in (Drkf, DrkfSwf, Ckf, CkfTau, Crkf, Csgf, DseaCp)
@@ -29,6 +30,7 @@ CHANNEL_FILTERS: dict[str, type[ChannelFilter]] = {
 """The filters by name."""
 _ABSURD = 1e12
 """A squared error this many times the bound of the squared state is no estimate of it."""
+_LARGEST = 1e300
 
 Progress = Callable[[int, int], None]
 
@@ -189,14 +191,14 @@ class _Job:
         )
         running = [self._filter(name, size) for name in self.names]
         records = [_Record(each, size, self.steps) for each in running]
-        ahead: list[Moment | None] = [None, *moments(self.network, self.steps)]
         with np.errstate(all="ignore"):  # a filter that diverges is told of in words
+            ahead: list[Moment | None] = [None, *moments(self.network, self.steps)]
             for moment, drawn in zip(ahead, walk, strict=True):
                 Pi = self.network.initial_second_moment if moment is None else moment.Pi
                 for each, record in zip(running, records, strict=True):
                     if moment is not None:
                         each.step(moment, drawn)
-                    record.note(drawn.k, drawn.x, _ABSURD * float(np.trace(Pi)))
+                    record.note(drawn.k, drawn.x, min(_ABSURD * float(np.trace(Pi)), _LARGEST))
             return [record.sums() for record in records]
 
     def _filter(self, name: str, runs: int) -> ChannelFilter:
@@ -226,11 +228,11 @@ class _Record:
             return
         every = len(P) == len(self.good)
         self.P[k] = P[self.good].sum(axis=0) if every else P[0] * self.alive[k]
-        finite = np.asarray(np.isfinite(P).all(axis=(2, 3)))
-        values, U = np.linalg.eigh(np.where(finite[..., None, None], P, 0.0))
-        along = (U.mT @ self.e[k][..., None])[..., 0] ** 2 / values
-        positive = finite & (values[..., 0] > 0)
-        self.distance[k] = np.where(positive, along.sum(axis=-1), np.inf)  # no ellipsoid, and nothing in it
+        flat = P.reshape(-1, *P.shape[2:])
+        metric, positive = inverse(flat).reshape(P.shape), definite(flat).reshape(P.shape[:2])
+        e = self.e[k]
+        distance = ((metric @ e[..., None])[..., 0] * e).sum(axis=-1)
+        self.distance[k] = np.where(positive, distance, np.inf)  # else there is no ellipsoid, and nothing in it
 
     def sums(self) -> _Sums:
         """Add up the runs that stayed within reason."""

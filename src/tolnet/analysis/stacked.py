@@ -35,6 +35,16 @@ def cholesky(a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
     return _one_by_one(np.linalg.cholesky, a)
 
 
+def definite(X: Float[ndarray, "K n n"]) -> Bool[ndarray, " K"]:
+    """Which symmetric members are positive definite: all pivots of an elimination without exchanges are positive."""
+    rest = np.array(np.moveaxis(X, 0, 2))
+    positive = rest[0, 0] > 0
+    for k in range(len(rest) - 1):
+        rest[k + 1 :, k + 1 :] -= rest[k + 1 :, k, None] * (rest[k, None, k + 1 :] / rest[k, k])
+        positive &= rest[k + 1, k + 1] > 0  # False for what is not a number
+    return positive
+
+
 def _one_by_one(function: Callable[[ndarray], ndarray], a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
     """Halve a stack that fails until the culprit is alone."""
     try:

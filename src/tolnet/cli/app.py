@@ -21,6 +21,7 @@ from tolnet.cli import (
     simulate,
     table,
     validate,
+    window,
 )
 from tolnet.cli.console import complain, prepare_streams
 
@@ -46,6 +47,7 @@ app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)
 app.command("check")(check.check)
+app.command("window")(window.window)
 app.command("diff")(diff.diff)
 
 

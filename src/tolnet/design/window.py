@@ -15,6 +15,8 @@ WINDOWS, INTERVALS = (1, 2, 3), (1, 2, 5, 10)
 """What is tried by default, every window with every interval."""
 _AS_GOOD = 1e-3
 """A node takes the cheapest that is at most this part worse for it than the best that it can afford."""
+_DUST = 1e-6
+"""What an interior-point method leaves of a weight that is zero."""
 _DOUBLE = 8
 
 Progress = Callable[[int, int], None]
@@ -22,11 +24,11 @@ Progress = Callable[[int, int], None]
 
 def choose_window(
     network: CorruptedNetwork,
-    budget: Mapping[str, float] | None = None,
+    budget: Mapping[str, int | float] | None = None,
     *,
     windows: Iterable[int] = WINDOWS,
     intervals: Iterable[int] = INTERVALS,
-    steps: int = 100,
+    steps: int = 60,
     progress: Progress | None = None,
 ) -> WindowChoice:
     """Choose the window length L_i and the interval Delta_i of every node for a budget, eqs. (13)-(18).
@@ -43,7 +45,7 @@ def choose_window(
     and for fewer than 2 steps.
     Source: docs/mathematics.md, section 13.9.
     """
-    limits = dict(budget or {})
+    limits = {key: float(value) for key, value in (budget or {}).items()}
     lengths, every = sorted(set(windows)), sorted(set(intervals))
     _check(network, limits, lengths, every, steps)
     candidates = [(1, 0), *((L, interval) for L in lengths for interval in every)]
@@ -149,7 +151,7 @@ def _cheapest(front: Iterable[WindowPoint]) -> tuple[ndarray, ndarray]:
 
 
 def _weights(network: CorruptedNetwork, history: WindowHistory) -> tuple[tuple[KeptPair, ...], ...]:
-    """The weights of every node's last fusion, those of nothing left out."""
+    """The weights of every node's last fusion, without the dust."""
     found = []
     for i in range(network.N):
         own = np.arange(network.fusion.indptr[i], network.fusion.indptr[i + 1])
@@ -160,7 +162,7 @@ def _weights(network: CorruptedNetwork, history: WindowHistory) -> tuple[tuple[K
                 KeptPair(sender, age, float(weights[at, age]))
                 for at, sender in enumerate(senders)
                 for age in range(weights.shape[1])
-                if weights[at, age] > 0
+                if weights[at, age] > _DUST
             )
         )
     return tuple(found)
