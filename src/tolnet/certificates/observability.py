@@ -30,7 +30,7 @@ _GAIN_BITS = (26, 53)
 _MOMENT_BITS = (44, 30, 18)
 _SLACK = (2.0**-20, 2.0**-10, 2.0**-5, 1.0)
 """How far above the limit of the second moment its bound may lie, tried one after the other."""
-_TRIED = (1 - 1e-6, 1 - 1e-4, 0.99, 0.9, 0.5)
+_TRIED = (1 - 1e-10, 1 - 1e-6, 1 - 1e-4, 0.99, 0.9, 0.5)
 """Parts of the alpha that floating point sees."""
 _LONGEST = 2000
 """Instants before the bounds of the second moment must have closed their loop, where there is no horizon."""
@@ -103,7 +103,7 @@ def prove_observability(
     if fading and (claimed.horizon is not None or limit is not None):
         found = _bounds(exact, claimed.horizon, limit)
         if isinstance(found, str):
-            return _undecided(claimed, found)
+            return undecided(claimed, found)
         moments, loop = found
     for bits in _GAIN_BITS:
         count = exact.period if moments is None else len(moments)
@@ -113,12 +113,12 @@ def prove_observability(
         path = Path(gains, moments, loop)
         gramians = _gramians(exact, path, claimed)
         for part in _TRIED:
-            below = float(f"{part * alpha:.7g}")
+            below = float(f"{part * alpha:.12g}")
             if below > 0 and (gramians - _multiple(below, network.n)).definite().all():
                 keys = {"alpha": number_text(below), **claimed.keys}
                 return Proved("observability", statements.observability(below, **claimed.keys), path.proof(), keys=keys)
         reason = f"the exact Gramian of some window does not exceed {_TRIED[-1] * alpha:.3g} I"
-    return _undecided(claimed, reason)
+    return undecided(claimed, reason)
 
 
 def refute_observability(network: CorruptedNetwork, claimed: Claimed) -> Refuted | Undecided:
@@ -135,10 +135,11 @@ def refute_observability(network: CorruptedNetwork, claimed: Claimed) -> Refuted
                 return Refuted("observability", statements.blindness(**claimed.keys), witness, keys=claimed.keys)
         if unseen:
             reason = f"the direction that no sensor sees in the window from k = {start} is no vector of doubles"
-    return _undecided(claimed, reason)
+    return undecided(claimed, reason)
 
 
-def _undecided(claimed: Claimed, reason: str) -> Undecided:
+def undecided(claimed: Claimed, reason: str) -> Undecided:
+    """The verdict where neither was shown."""
     return Undecided("observability", statements.observability(None, **claimed.keys), reason, keys=claimed.keys)
 
 
