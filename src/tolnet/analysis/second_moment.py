@@ -100,7 +100,8 @@ def second_moments(network: CorruptedNetwork, limit: SecondMomentLimit | None) -
             Pi, k = step_second_moment(network.at(k), Pi), k + 1
     # One output that sees a growing direction has a variance that is that of the growth, however large; of several
     # outputs, combinations that do not see it would drown in rounding, so the growth counts as infinite in time.
-    several = int(np.diff(network.rows).max(initial=0)) > 1
+    # Where everything grows, there are none.
+    several = int(np.diff(network.rows).max(initial=0)) > 1 and limit.U.shape[2] < network.n
     bounded = _modulo(limit.U[0], Pi)
     while np.abs(Pi).max() < (_GROWN * np.abs(bounded).max() if several else _HUGE):
         yield Moment(Pi, nothing, bounded)

@@ -720,7 +720,7 @@ def observable(claim: dict[str, Any], at: Channels) -> None:
     n, m = at.n, len(_list(proof["gains"], None, "proof.gains"))
     loop = _whole(proof["loop"], 0, m, "proof.loop")
     _require(loop % at.period == 0, "proof.loop: expected a multiple of the period of the data")
-    _require(loop > 0 or (H is not None and m > H), "proof.gains: they end before the claim does")
+    _require(loop > 0 or (H is not None and m > H), "proof: the gains end before the claim does")
     _afford(m * L * L * n**3 + m * len(at.tau[0]) * n**3, MOST_WORK, "every window")
 
     def following(k: int) -> int:

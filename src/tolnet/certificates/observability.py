@@ -75,16 +75,19 @@ def channels_data(network: CorruptedNetwork) -> dict[str, Any]:
     """
     if any(network.varying[letter].values is None for letter in ("A", "F", "Q", "mu", "C", "R", "tau", "phi")):
         raise UnsupportedError("some matrix is a function of k; certificates speak of constant and periodic ones")
-    cuts = network.rows[1:-1]
-    squares = np.cumsum(np.diff(network.rows) ** 2)[:-1]
+    cuts, squares = network.rows[1:-1], np.cumsum(np.diff(network.rows) ** 2)[:-1]
+
+    def texts(letter: str) -> list[str]:
+        return [matrix_text(np.atleast_1d(value)) for value in network.varying[letter].one_period]
+
     return {
         "kind": KIND,
         "n": network.n,
         "nodes": network.N,
-        **{letter: list(map(matrix_text, network.varying[letter].one_period)) for letter in ("A", "F", "Q", "mu")},
-        "C": [[matrix_text(C) for C in np.split(at, cuts)] for at in network.C.one_period],
-        "R": [[matrix_text(R) for R in np.split(at, squares)] for at in network.R.one_period],
-        **{letter: list(map(matrix_text, network.varying[letter].one_period)) for letter in ("tau", "phi")},
+        **{letter: texts(letter) for letter in ("A", "F", "Q", "mu")},
+        "C": [list(map(matrix_text, np.split(at, cuts))) for at in network.C.one_period],
+        "R": [list(map(matrix_text, np.split(at, squares))) for at in network.R.one_period],
+        **{letter: texts(letter) for letter in ("tau", "phi")},
         "initial_second_moment": symmetric_text(network.initial_second_moment),
     }
 
