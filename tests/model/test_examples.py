@@ -179,7 +179,8 @@ def test_random_networks_that_do_not_exist():
 
 def test_the_list_of_examples():
     names = model.example_names()
-    assert list(names) == ["projectile", "ieee14", "random", "field", "field-50"]
+    unstable = ["unstable-path", "unstable-ring", "unstable-metropolis"]
+    assert list(names) == ["projectile", "ieee14", *unstable, "random", "field", "field-50"]
     for name in names:
         network = model.example(name)
         assert network.name == name

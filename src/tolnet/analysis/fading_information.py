@@ -80,7 +80,7 @@ class _Stacks:
         noise = symmetric_part(noise)
         Z = np.broadcast_to(np.eye(rows.shape[1]), noise.shape) if kept is None else kept
         if kept is not None:
-            empty = ~kept.any(axis=2)
+            empty = np.asarray(~kept.any(axis=2))
             noise = symmetric_part(kept @ noise @ kept.mT) + empty[:, :, None] * np.eye(rows.shape[1])
         Z = np.linalg.solve(np.linalg.cholesky(noise), Z)
         self.found.Y[nodes, : rows.shape[1]] = Z @ rows

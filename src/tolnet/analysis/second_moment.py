@@ -100,10 +100,10 @@ def second_moments(network: CorruptedNetwork, limit: SecondMomentLimit | None) -
             Pi, k = step_second_moment(network.at(k), Pi), k + 1
     # One output that sees a growing direction has a variance that is that of the growth, however large; of several
     # outputs, combinations that do not see it would drown in rounding, so the growth counts as infinite in time.
-    # Where everything grows, there are none.
-    several = int(np.diff(network.rows).max(initial=0)) > 1 and limit.U.shape[2] < network.n
+    several = int(np.diff(network.rows).max(initial=0)) > 1
+    huge = _GROWN * _size(network, limit) if several else _HUGE
     bounded = _modulo(limit.U[0], Pi)
-    while np.abs(Pi).max() < (_GROWN * np.abs(bounded).max() if several else _HUGE):
+    while np.abs(Pi).max() < huge:
         yield Moment(Pi, nothing, bounded)
         now, following = network.at(k), limit.at(k + 1).U
         Pi, bounded = step_second_moment(now, Pi), _modulo(following, step_second_moment(now, bounded))
@@ -112,6 +112,12 @@ def second_moments(network: CorruptedNetwork, limit: SecondMomentLimit | None) -
         yield Moment(bounded, limit.at(k).U, bounded)
         bounded = _modulo(limit.at(k + 1).U, step_second_moment(network.at(k), bounded))
         k += 1
+
+
+def _size(network: CorruptedNetwork, limit: SecondMomentLimit) -> float:
+    """What a second moment counts as large against."""
+    parts = (network.initial_second_moment, network.Q(0), limit.Pi)
+    return max(float(np.abs(part).max()) for part in parts)
 
 
 def _modulo(U: Float[ndarray, "n r"], Pi: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
@@ -129,11 +135,12 @@ def transient(network: CorruptedNetwork, limit: SecondMomentLimit) -> list[Momen
     if not any(network.phi(t).any() for t in range(T)):
         return []
     found: list[Moment] = []
+    size = _size(network, limit)
     for k, moment in enumerate(second_moments(network, limit)):
         found.append(moment)
         goal = limit.at(k).Pi
-        settled = np.abs(moment.bounded - goal).max() <= _SETTLED * np.abs(goal).max()
-        grown = limit.bounded or moment.U.shape[1] > 0 or np.abs(moment.Pi).max() > _GROWN * np.abs(goal).max()
+        settled = np.abs(moment.bounded - goal).max() <= _SETTLED * size
+        grown = limit.bounded or moment.U.shape[1] > 0 or np.abs(moment.Pi).max() > _GROWN * size
         if (settled and grown) or k >= _PATIENCE:
             return found
     return found

@@ -33,7 +33,7 @@ LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 WIDEST_RANGE = 1024  # bits that the numbers of one text may span
 LARGEST_MATRIX = 800  # rows of a matrix that speaks of all nodes at once
 MOST_WORK = 10**9  # multiplications that a claim may cost, roughly
-NUMERAL = re.compile(r"-?0x[01](\.[0-9a-f]{1,13})?p[+-][0-9]{1,4}")  # what float.hex writes of a finite double
+LAST_ZEROS = re.compile(r"\.?0+p")  # of the fraction of a hexadecimal number: they may be left out
 SMALL = 12  # rows up to which elimination decides definiteness
 
 
@@ -502,12 +502,10 @@ def unstable(claim: dict[str, Any], at: Deployment) -> None:
         _require(v.by(X).by(v).value(0, 0) > 0, "v' X v is not positive")
         _require_definite(_congruence(block.T, X) - X, "the Lyapunov difference of the witness")
     elif method == "eigenpair":
-        eigenpair(_object(claim["witness"], "witness", "of", "method", *EIGENPAIR), block)
+        keys = ("eigenvalue", "vector", "pivot", "radius")
+        eigenpair(_object(claim["witness"], "witness", "of", "method", *keys, optional=("inverse",)), block)
     else:
         raise Wrong("witness.method: expected lyapunov or eigenpair")
-
-
-EIGENPAIR = ("eigenvalue", "vector", "pivot", "inverse", "radius")
 
 
 def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
@@ -517,8 +515,6 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
     pair = _matrix(witness["vector"], 2, d, "witness.vector")
     x, y = pair.part(0, 1, 0, d), pair.part(1, 2, 0, d)
     pivot = _whole(witness["pivot"], 0, d - 1, "witness.pivot")
-    both = _matrix(witness["inverse"], 2 * (d + 1), d + 1, "witness.inverse")
-    B, D = both.part(0, d + 1, 0, d + 1), both.part(d + 1, 2 * (d + 1), 0, d + 1)  # the inverse is B + iD
     rho = Fraction(_doubles(witness["radius"], 1, "witness.radius")[0])
     _require(rho > 0, "witness.radius is not positive")
 
@@ -527,6 +523,11 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
     f, g = _beside([x.by(block) - a * x + b * y, corner]), _beside([y.by(block) - a * y - b * x, corner])
     Jx = _bordered(block - a * Matrix.unit(d), x, selection)  # the Jacobian is Jx + i Jy
     Jy = _bordered(-b * Matrix.unit(d), y, Matrix.zero(d, 1))
+    if "inverse" in witness:
+        both = _matrix(witness["inverse"], 2 * (d + 1), d + 1, "witness.inverse")
+    else:
+        both = _guess_inverse(Jx, Jy)
+    B, D = both.part(0, d + 1, 0, d + 1), both.part(d + 1, 2 * (d + 1), 0, d + 1)  # the inverse is B + iD
     residual = _norm((f.by(B) - g.by(D)).T, (g.by(B) + f.by(D)).T)
     defect = _norm(Matrix.unit(d + 1) - (B @ Jx - D @ Jy), B @ Jy + D @ Jx)
     _require(residual + defect * rho + _norm(B, D) * rho**2 < rho, "the Newton step leaves the ball of the witness")
@@ -536,6 +537,30 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
 def _bordered(P: Matrix, z: Matrix, selection: Matrix) -> Matrix:
     """[[P, -z], [selection', 0]]."""
     return _beside([_beside([P.T, selection]).T, _beside([-1 * z, Matrix.zero(1, 1)]).T])
+
+
+def _guess_inverse(re: Matrix, im: Matrix) -> Matrix:
+    """[B; D] with B + iD near the inverse of re + i im: Gauss-Jordan elimination in floating point."""
+    size = len(re.rows)
+    try:
+        parts = [[[float(_scaled(x, P.exponent)) for x in row] for row in P.rows] for P in (re, im)]
+        rows = [list(map(complex, a, b)) + [0j] * size for a, b in zip(*parts, strict=True)]
+        for j in range(size):
+            rows[j][size + j] = 1 + 0j
+        for j in range(size):
+            best = max(range(j, size), key=lambda i: abs(rows[i][j]))
+            rows[j], rows[best] = rows[best], rows[j]
+            pivot = rows[j] = [x / rows[j][j] for x in rows[j]]
+            for i in range(size):
+                if i != j and rows[i][j]:
+                    factor = rows[i][j]
+                    rows[i] = [x - factor * y for x, y in zip(rows[i], pivot, strict=True)]
+        inverse = [row[size:] for row in rows]
+        scale = 80 - math.frexp(max(abs(x) for row in inverse for x in row))[1]
+        real = [[round(math.ldexp(x.real, scale)) for x in row] for row in inverse]
+        return Matrix(real + [[round(math.ldexp(x.imag, scale)) for x in row] for row in inverse], -scale)
+    except (ArithmeticError, ValueError):
+        raise Declined("the eigenpair: its Jacobian could not be inverted here") from None
 
 
 def _norm(re: Matrix, im: Matrix) -> Fraction:
@@ -990,15 +1015,17 @@ def _whole(thing: Any, low: int, high: int, where: str) -> int:
 
 def _doubles(text: Any, count: int, where: str) -> list[float]:
     """So many doubles, written as float.hex writes them, one space between two."""
-    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") != max(0, count - 1):
+    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") + (text != "") != count:
         raise Wrong(f"{where}: expected {count} hexadecimal numbers in a text")
     words = text.split(" ") if text else []
-    if len(words) != count or not all(map(NUMERAL.fullmatch, words)):
-        raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
     try:
-        return list(map(float.fromhex, words))
-    except OverflowError:
-        raise Wrong(f"{where}: a number that is no double") from None
+        values = list(map(float.fromhex, words))
+    except (ValueError, OverflowError):
+        raise Wrong(f"{where}: no hexadecimal number, or one that is no double") from None
+    canonical = " ".join(map(float.hex, values))
+    if text not in (canonical, LAST_ZEROS.sub("p", canonical)) or not all(map(math.isfinite, values)):
+        raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
+    return values
 
 
 def _matrix(text: Any, height: int, width: int, where: str) -> Matrix:

@@ -14,12 +14,14 @@ from tolnet.cli import (
     certify,
     check,
     diff,
+    diffusion,
     example,
     observability,
     performance,
     simulate,
     table,
     validate,
+    window,
 )
 from tolnet.cli.console import complain, prepare_streams
 
@@ -41,9 +43,11 @@ app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
 app.command("observability")(observability.observability)
+app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)
 app.command("check")(check.check)
+app.command("window")(window.window)
 app.command("diff")(diff.diff)
 
 

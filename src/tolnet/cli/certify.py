@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from tolnet.certificates.deployed import Deployed
     from tolnet.certificates.verdicts import Node, Verdict
     from tolnet.cli.evidence import Evidence
+    from tolnet.design.export.deployment import Deployment
     from tolnet.model import Ambiguity, SensorNetwork, SteadyState
 
 REFUTED, UNDECIDED, NO_ANSWER = 1, 3, 4
@@ -212,7 +213,7 @@ def _prepare(
 
     from tolnet import analysis
     from tolnet.cli.evidence import Evidence
-    from tolnet.design import diffusion_matrix
+    from tolnet.design.diffusion import check_rule, diffusion_matrix
     from tolnet.design.export import Reasons
     from tolnet.design.export.deployed import read_deployed
     from tolnet.design.export.deployment import Deployment
@@ -227,7 +228,9 @@ def _prepare(
     if ambiguity.tau != 0:
         raise UnsupportedError(f"certificates are defined for tau = 0 only, and ambiguity.tau is {ambiguity.tau:g}")
     try:
-        W = diffusion_matrix(network, diffusion)
+        rule = diffusion or network.diffusion
+        if isinstance(rule, str):
+            check_rule(network, rule)
     except InputError as error:
         raise InputError([Complaint("--diffusion", each.message) for each in error.complaints]) from None
     if stored is None:
@@ -235,7 +238,8 @@ def _prepare(
         if not solved.local.exists.all():
             complain(Reasons(solved).offenders(), "no answer")
             raise typer.Exit(NO_ANSWER)
-        central, local, deployment = solved.central, solved.local, Deployment.of(solved, W)
+        central, local = solved.central, solved.local
+        deployment = Deployment.of(solved, diffusion_matrix(network, diffusion, solved))
     else:
         if len(stored.tolerances) != network.N:
             raise InputError(
@@ -248,14 +252,14 @@ def _prepare(
     if precision == "float32":
         deployment = deployment.rounded(np.float32)
     try:
-        deployed = _deployed(network, central, deployment)
+        deployed = deployed_of(network, central, deployment)
     except InputError as error:
         raise InputError(error.complaints, source=str(table)) from None
     return Subject(network, ambiguity, central, local, deployed, Evidence(deployed))
 
 
-def _deployed(network, central, deployment) -> Deployed:
-    """With the least favourable model, where there is one."""
+def deployed_of(network: SensorNetwork, central: SteadyState, deployment: Deployment) -> Deployed:
+    """What is certified of a deployment: with the least favourable model, where there is one."""
     import numpy as np
 
     from tolnet import analysis

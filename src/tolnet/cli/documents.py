@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 REPORT_SUFFIXES = (".json", ".csv", ".npz", ".md")
 
 
+@runtime_checkable
 class Report(Protocol):
     """What can be written in every format."""
 

@@ -47,7 +47,7 @@ Rule = Annotated[
     typer.Option(
         "--diffusion",
         metavar="RULE",
-        help="Weights: uniform, relative-degree, metropolis, laplacian or none; the problem's without.",
+        help="Weights by a rule: uniform, relative-degree, metropolis, ...; the problem's without.",
     ),
 ]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg, .pdf).")]

@@ -3,10 +3,12 @@
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity, Convention, gamma_per
 from tolnet.model.channels import LooseBoundWarning, SimulationModel
 from tolnet.model.corrupted import CorruptedNetwork
+from tolnet.model.diffusion import OBJECTIVES, DecayCertificate, Diffusion, Elsewhere, GainTable, Start
 from tolnet.model.dynamics import ErrorDynamics, Performance
 from tolnet.model.errors import Complaint, InputError, ShapeError, TolnetError, UnsupportedError
 from tolnet.model.examples import example, example_names
 from tolnet.model.fusion import FUSION_RULES
+from tolnet.model.fusion_weights import FusionWeights
 from tolnet.model.graph import DIFFUSION_RULES
 from tolnet.model.network import SensorNetwork
 from tolnet.model.reading import load, parse
@@ -21,11 +23,17 @@ __all__ = [
     "CONVENTIONS",
     "DIFFUSION_RULES",
     "FUSION_RULES",
+    "OBJECTIVES",
     "Ambiguity",
     "Complaint",
     "Convention",
     "CorruptedNetwork",
+    "DecayCertificate",
+    "Diffusion",
+    "Elsewhere",
     "ErrorDynamics",
+    "FusionWeights",
+    "GainTable",
     "InputError",
     "LeastFavourableModel",
     "LooseBoundWarning",
@@ -33,6 +41,7 @@ __all__ = [
     "SensorNetwork",
     "ShapeError",
     "SimulationModel",
+    "Start",
     "Status",
     "SteadyState",
     "ToleranceLimits",

@@ -102,19 +102,23 @@ def _per_node(
     if isinstance(value, ndarray) and value.ndim == 1:
         value = value.tolist()
     if not isinstance(value, Sequence) or isinstance(value, str):
-        value = [value] * N
+        number = _allowed(value, f"sensors.{key}", meant, allowed, complaints)
+        return None if number is None else np.full(N, number)
     if len(value) != N:
         complaints.add(f"sensors.{key}", f"has {len(value)} entries; there are {N} nodes", shape=True)
         return None
-    before = len(complaints.found)
-    numbers = []
-    for i, item in enumerate(value):
-        place = f"sensors[{i}].{key}"
-        number = checks.number(item, place, meant, complaints)
-        if number is not None and not allowed(number):
-            complaints.add(place, f"is {checks.shown(item)}; {meant} was expected")
-        numbers.append(number)
-    return None if len(complaints.found) > before else np.array(numbers, dtype=float)
+    numbers = [_allowed(item, f"sensors[{i}].{key}", meant, allowed, complaints) for i, item in enumerate(value)]
+    return None if None in numbers else np.array(numbers, dtype=float)
+
+
+def _allowed(
+    value: Any, key: str, meant: str, allowed: Callable[[float], bool], complaints: Complaints
+) -> float | None:
+    number = checks.number(value, key, meant, complaints)
+    if number is None or allowed(number):
+        return number
+    complaints.add(key, f"is {checks.shown(value)}; {meant} was expected")
+    return None
 
 
 def parse_intervals(value: Any, N: int, complaints: Complaints) -> Int[ndarray, " N"] | None:

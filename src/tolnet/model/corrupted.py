@@ -406,10 +406,11 @@ def _parse_start(
         mean = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {many}", complaints)
     mean = np.zeros(width) if mean is None else mean
     if sensors.by_node(P_0) and len(P_0) == N and all(np.ndim(item) == 2 or item is None for item in P_0):
-        given = [np.eye(width) if item is None else item for item in P_0]
         found = [
-            checks.covariance(item, n, f"sensors[{i}].initial_covariance", complaints, definite=True)
-            for i, item in enumerate(given)
+            np.eye(width)
+            if item is None
+            else checks.covariance(item, n, f"sensors[{i}].initial_covariance", complaints, definite=True)
+            for i, item in enumerate(P_0)
         ]
     elif isinstance(P_0, ndarray) and P_0.ndim == 3:
         if N is not None and len(P_0) != N:
@@ -425,7 +426,8 @@ def _parse_start(
         if P_0 is not None:
             one = checks.covariance(P_0, n, "plant.initial_covariance", complaints, definite=True)
         found = [one] * (N or 0)
-    P_0 = None if any(item is None for item in found) else np.array(found).reshape(-1, width, width)
+    known = n is not None and not any(item is None for item in found)
+    P_0 = np.array(found).reshape(len(found), width, width) if known else None
     if Pi_0 is not None:
         Pi_0 = checks.covariance(Pi_0, n, "plant.initial_second_moment", complaints, definite=False)
     elif P_0 is not None and len(P_0):

@@ -19,7 +19,7 @@ from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
-from tolnet.model.graph import DIFFUSION_RULES, parse_diffusion
+from tolnet.model.graph import DIFFUSION_RULES, parse_adjacency, parse_diffusion
 from tolnet.model.nodes import Nodes, parse_nodes
 from tolnet.model.sensors import Packed
 
@@ -164,6 +164,22 @@ class SensorNetwork(Nodes):
         object.__setattr__(changed, "diffusion", diffusion)
         object.__setattr__(changed, "digest", None)
         return changed
+
+    def relinked(self, links: Int[ndarray, "E 2"]) -> SensorNetwork:
+        """The same network on other links [from, to], from no file; W of its own gives way to the default rule.
+
+        Raises InputError for links that are no links of these nodes.
+        """
+        complaints = Complaints()
+        directed, graph = parse_adjacency(None, links, self.directed, self.N, complaints)
+        complaints.raise_if_any()
+        other = copy.copy(self)
+        for name in ("degree", "_heard", "information"):
+            other.__dict__.pop(name, None)
+        rule = self.diffusion if isinstance(self.diffusion, str) else DIFFUSION_RULES[0]
+        for name, value in {"adjacency": graph, "directed": directed, "diffusion": rule, "digest": None}.items():
+            object.__setattr__(other, name, value)
+        return other
 
     @property
     def n(self) -> int:

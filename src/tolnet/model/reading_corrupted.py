@@ -130,6 +130,13 @@ class CorruptedReader(Reader):
         interval = self.plain("fusion", "interval", 1)
         defaults = {"fading_mean": 1.0, "fading_variance": 0.0, "interval": interval}
         found = {key: self.each_sensor(key, default) for key, default in defaults.items()}
+        if isinstance(
+            found["fading_variance"], list
+        ):  # a variance is judged by its mean, where that has the right form
+            means = [self.told(f"sensors[{k}].fading_mean") for k in range(len(found["fading_variance"]))]
+            found["fading_variance"] = [
+                0.0 if bad else phi for bad, phi in zip(means, found["fading_variance"], strict=True)
+            ]
         return {key: defaults[key] if found[key] is None else found[key] for key in defaults}
 
     def each_sensor(self, key: str, default: Any) -> Any:

@@ -112,8 +112,8 @@ def _nodes(axes: Axes, report: ObservabilityReport) -> None:
     if network.N <= ONE_BY_ONE_UP_TO:
         for number, (label, (values, colour)) in enumerate(series.items()):
             axes.bar(place + 0.27 * (number - 1), values, 0.25, color=colour, label=label)
-        small = 9 if network.N <= 20 else 7
-        tilt = 60 if network.names else 0
+        small = 9 if network.N <= 20 else 6
+        tilt = 60 if network.names else 0 if network.N <= 20 else 90
         axes.set_xticks(
             place, [network.label(i) for i in range(network.N)], fontsize=small, parse_math=False, rotation=tilt
         )
@@ -146,7 +146,11 @@ def _traces(axes: Axes, report: ObservabilityReport) -> None:
     else:
         why = next((f"{each.status}" for each in report.steady.values()), "functions of k")
         axes.text(0.5, 0.5, f"no steady state: {why}", ha="center", transform=axes.transAxes, color=INK)
-    dress(axes, "what the filter settles on: bound on the error variance", "node", r"tr $P_i$")
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    across = "node" if network.N <= ONE_BY_ONE_UP_TO else "nodes, sorted"
+    dress(axes, "what the filter settles on: bound on the error variance", across, r"tr $P_i$")
 
 
 def _sweeps(axes: Axes, sweeps: Sequence[Sweep]) -> None:
