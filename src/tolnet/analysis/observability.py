@@ -223,10 +223,17 @@ class _Nodes:
     """What each node, and each sensor that might be added, changes; over all windows, a few at a time."""
 
     def __init__(
-        self, path: _Path, network: CorruptedNetwork, L: int, factors: Float[ndarray, "K n n"], progress: Progress | None
+        self,
+        path: _Path,
+        network: CorruptedNetwork,
+        L: int,
+        factors: Float[ndarray, "K n n"],
+        progress: Progress | None,
     ) -> None:
         N, n = network.N, network.n
-        variances = np.concatenate([np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]])
+        variances = np.concatenate(
+            [np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]]
+        )
         r = float(np.median(variances))
         states = np.broadcast_to(np.eye(n)[:, None, :] / np.sqrt(r), (len(path.A), n, 1, n))
         extra = path.windows(states, L)
@@ -234,7 +241,9 @@ class _Nodes:
             "alpha_without_node": np.full(N, np.inf),
             "alpha_of_node": np.full(N, np.inf),
             "alpha_with_copy": np.full(N, np.inf),
-            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(0),
+            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(
+                0
+            ),
         }
         alone = np.ones(N, dtype=bool)
         own = path.windows(path.Y, L)

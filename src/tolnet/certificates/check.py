@@ -759,7 +759,10 @@ def observable(claim: dict[str, Any], at: Channels) -> None:
     S = []
     for k, texts in enumerate(proof["gains"]):
         outputs, where = _at(at.C, k), f"proof.gains[{k}]"
-        K = [_matrix(text, len(C.rows), n, where) for text, C in zip(_list(texts, len(outputs), where), outputs, strict=True)]
+        K = [
+            _matrix(text, len(C.rows), n, where)
+            for text, C in zip(_list(texts, len(outputs), where), outputs, strict=True)
+        ]
         S.append(at.information(k, K, None if X is None else X[k], sharp))
     G = S
     for _ in range(L - 1):
@@ -1154,12 +1157,16 @@ def _channels(data: Any) -> Channels:
         return list(map(Fraction, _doubles(text, nodes, where)))
 
     def outputs(texts: Any, where: str) -> list[Matrix]:
-        p = [(text.count(" ") + 1) // n if isinstance(text, str) and text else 0 for text in _list(texts, nodes, where)]
+        p = [
+            (text.count(" ") + 1) // n if isinstance(text, str) and text else 0 for text in _list(texts, nodes, where)
+        ]
         return [_matrix(text, p[i], n, f"{where}[{i}]") for i, text in enumerate(texts)]
 
     C, width = over("C", outputs), range(nodes)
     p = [len(each.rows) for each in C[0]]
-    _require(all(len(at[i].rows) == p[i] for at in C for i in width), "data.C: a sensor changes its number of outputs")
+    _require(
+        all(len(at[i].rows) == p[i] for at in C for i in width), "data.C: a sensor changes its number of outputs"
+    )
 
     def noise(texts: Any, where: str) -> list[Matrix]:
         return [_matrix(text, p[i], p[i], f"{where}[{i}]") for i, text in enumerate(_list(texts, nodes, where))]
@@ -1180,7 +1187,9 @@ def _channels(data: Any) -> Channels:
     _require(min(min(each) for each in found.phi) >= 0, "data.phi: expected variances")
     for S in [*found.Q, *(R for each in found.R for R in each)]:
         _require(S.rows == S.T.rows or not S.rows, "data: a covariance is not symmetric")
-    _require(all(_minors_are_positive(R.rows) for each in found.R for R in each), "data.R: expected definite matrices")
+    _require(
+        all(_minors_are_positive(R.rows) for each in found.R for R in each), "data.R: expected definite matrices"
+    )
     for S in [*found.Q, found.start]:
         _require(_minors_are_positive(S.rows, semidefinite=True), "data: a second moment is not semidefinite")
     return found

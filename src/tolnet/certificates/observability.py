@@ -30,10 +30,10 @@ _GAIN_BITS = (26, 53)
 _MOMENT_BITS = (44, 30, 18)
 _SLACK = (2.0**-20, 2.0**-10, 2.0**-5, 1.0)
 """How far above the limit of the second moment its bound may lie, tried one after the other."""
-_TRIED = (1 - 1e-10, 1 - 1e-6, 1 - 1e-4, 0.99, 0.9, 0.5)
+_TRIED = (1 - 1e-10, 1 - 1e-6, 1 - 1e-4, 0.999, 0.99, 0.9, 0.5)
 """Parts of the alpha that floating point sees."""
 _LONGEST = 2000
-"""Instants before the bounds of the second moment must have closed their loop, where there is no horizon."""
+"""Instants that are followed one by one, before the bounds of the second moment must have closed their loop."""
 
 
 class Claimed(NamedTuple):
@@ -110,16 +110,16 @@ def prove_observability(
         moments, loop = found
     for bits in _GAIN_BITS:
         count = exact.period if moments is None else len(moments)
-        gains = [
-            exact.gains(k, claimed.form, None if moments is None else moments[k], bits) for k in range(count)
-        ]
+        gains = [exact.gains(k, claimed.form, None if moments is None else moments[k], bits) for k in range(count)]
         path = Path(gains, moments, loop)
         gramians = _gramians(exact, path, claimed)
         for part in _TRIED:
             below = float(f"{part * alpha:.12g}")
             if below > 0 and (gramians - _multiple(below, network.n)).definite().all():
                 keys = {"alpha": number_text(below), **claimed.keys}
-                return Proved("observability", statements.observability(below, **claimed.keys), path.proof(), keys=keys)
+                return Proved(
+                    "observability", statements.observability(below, **claimed.keys), path.proof(), keys=keys
+                )
         reason = f"the exact Gramian of some window does not exceed {_TRIED[-1] * alpha:.3g} I"
     return undecided(claimed, reason)
 
@@ -225,7 +225,12 @@ class _ExactChannels:
 def _bounds(
     exact: _ExactChannels, horizon: int | None, limit: Float[ndarray, "T n n"] | None
 ) -> tuple[list[ndarray], int] | str:
-    """Bounds of the second moment, and how many of them, at the end, loop; or why none were found."""
+    """Bounds of the second moment, and how many of them, at the end, loop; or why none were found.
+
+    Up to a near horizon nothing loops, since the moments there may lie well below their limit.
+    """
+    if horizon is not None and horizon < _LONGEST:
+        limit = None
     for bits in _MOMENT_BITS:
         for slack in (None,) if limit is None else _SLACK:
             loop = None
@@ -235,8 +240,8 @@ def _bounds(
                 steps = [Exact.of(X) - exact.step(t, loop[t]) for t, X in enumerate(follows)]
                 if not all(step.definite() for step in steps):
                     continue
-            found = _until(exact, loop, _LONGEST if horizon is None else horizon + 1, bits)
-            if found is not None and (found[1] or horizon is not None):
+            found = _until(exact, loop, _LONGEST if limit is not None else (horizon or 0) + 1, bits)
+            if found is not None and (found[1] or limit is None):
                 return found
     return "no bounds of the second moment were found that hold exactly"
 
@@ -294,4 +299,6 @@ def _doubles(v: Sequence[int]) -> Float[ndarray, " n"] | None:
     odd = [x >> (x & -x).bit_length() - 1 if x else 0 for x in v]
     if any(abs(x).bit_length() > 53 for x in odd):
         return None
-    return np.array([math.ldexp(x, (y & -y).bit_length() - 1 - size) if y else 0.0 for x, y in zip(odd, v, strict=True)])
+    return np.array(
+        [math.ldexp(x, (y & -y).bit_length() - 1 - size) if y else 0.0 for x, y in zip(odd, v, strict=True)]
+    )
