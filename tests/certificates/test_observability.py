@@ -355,8 +355,8 @@ def test_a_witness_lies_within_the_horizon():
         (("data", "mu"), ["-0x1p-2"], "data.mu"),
         (("data", "phi"), ["-0x1p-2 0x0p+0"], "data.phi"),
         (("data", "R", 0, 0), "-0x1p-1", "data.R"),
-        (("data", "Q", 0), "-0x1p-1", "not semidefinite"),
-        (("data", "initial_second_moment"), "-0x1p-1", "not semidefinite"),
+        (("data", "Q", 0), "-0x1p-1", "not shown to be semidefinite"),
+        (("data", "initial_second_moment"), "-0x1p-1", "not shown to be semidefinite"),
         (("data", "tau"), ["0x1p+0"], "data.tau"),
         (("data", "C"), [["0x1p+0", "0x1p+0"], ["0x1p+0 0x1p+0", "0x1p+0"]], "changes its number of outputs"),
         (("data", "extra"), 1, "unknown key"),
@@ -366,6 +366,14 @@ def test_data_that_fit_no_network_are_refused(path: tuple[str | int, ...], value
     made = put(proof("one state, every k"), path, value)
     with pytest.raises(Refused, match=complaint):
         check(made)
+
+
+def test_a_second_moment_may_be_singular():
+    """Pi_0 = diag(0, 1/2) is semidefinite, [[0, 1], [1, 1]] is not."""
+    made = proof("two states, finite")
+    assert results(put(made, ("data", "initial_second_moment"), "0x0p+0 0x0p+0 0x1p-1")) == [("valid", None)]
+    with pytest.raises(Refused, match="not shown to be semidefinite"):
+        check(put(made, ("data", "initial_second_moment"), "0x0p+0 0x1p+0 0x1p+0"))
 
 
 def test_a_claim_of_the_other_kind_of_data_is_invalid():

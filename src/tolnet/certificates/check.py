@@ -390,10 +390,10 @@ class Channels:
         return _combination(terms, self.n)
 
 
-T = TypeVar("T")
+Item = TypeVar("Item")
 
 
-def _at(period: list[T], k: int) -> T:
+def _at(period: list[Item], k: int) -> Item:
     return period[k % len(period)]
 
 
@@ -1147,7 +1147,7 @@ def _channels(data: Any) -> Channels:
     for key in letters:
         _require(bool(_list(data[key], None, f"data.{key}")), f"data.{key}: expected one period")
 
-    def over(key: str, read: Callable[[Any, str], T]) -> list[T]:
+    def over(key: str, read: Callable[[Any, str], Item]) -> list[Item]:
         return [read(text, f"data.{key}[{t}]") for t, text in enumerate(data[key])]
 
     def square(text: Any, where: str) -> Matrix:
@@ -1185,13 +1185,14 @@ def _channels(data: Any) -> Channels:
     )
     _require(min(found.mu) >= 0, "data.mu: expected variances")
     _require(min(min(each) for each in found.phi) >= 0, "data.phi: expected variances")
-    for S in [*found.Q, *(R for each in found.R for R in each)]:
-        _require(S.rows == S.T.rows or not S.rows, "data: a covariance is not symmetric")
-    _require(
-        all(_minors_are_positive(R.rows) for each in found.R for R in each), "data.R: expected definite matrices"
-    )
+    R = [R for each in found.R for R in each]
+    work = sum(len(S.rows) ** 3 for S in [*found.Q, *R])
+    _require(work <= MOST_WORK, "data: a network too large to be checked here")
+    _require(all(S.rows == S.T.rows for S in [*found.Q, *R]), "data: a covariance is not symmetric")
+    _require(all(map(is_positive_definite, R)), "data.R: expected positive definite matrices")
     for S in [*found.Q, found.start]:
-        _require(_minors_are_positive(S.rows, semidefinite=True), "data: a second moment is not semidefinite")
+        semidefinite = is_positive_definite(S) or (n <= SMALL and _minors_are_positive(S.rows, semidefinite=True))
+        _require(semidefinite, "data: a second moment is not shown to be semidefinite")
     return found
 
 
