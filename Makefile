@@ -18,12 +18,12 @@ $(STAMP): requirements/lock.txt pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP) ## the projectile network: problem, tolerance table, map and performance, in ./demo
+demo: $(STAMP) ## the projectile network: problem, tolerance table, performance and certificate, in ./demo
 	@$(BIN)/python scripts/demo.py demo
 
 test: $(STAMP) ## every test, notebooks included
 	@$(BIN)/python -m pytest -n 2 --dist worksteal tests
-	@$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+	@$(BIN)/python -m pytest -n 2 --nbmake --nbmake-timeout=300 notebooks
 
 check: $(STAMP) ## style, types, import directions
 	@$(BIN)/ruff check .
