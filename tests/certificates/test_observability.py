@@ -272,7 +272,12 @@ def altered(made: Document) -> Iterator[tuple[str, Document]]:
         for value in values:
             other = put(made, ("claims", 0, key), value)
             yield f"{key} = {value}", restated(other)
-    for key, values in {"loop": (0, 1, 2, 3, 6), "moments": (None, []), "gains": ([], None), "start": range(4)}.items():
+    for key, values in {
+        "loop": (0, 1, 2, 3, 6),
+        "moments": (None, []),
+        "gains": ([], None),
+        "start": range(4),
+    }.items():
         for evidence in ("proof", "witness"):
             if key in claim.get(evidence, {}):
                 for value in values:

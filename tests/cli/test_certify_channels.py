@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from tolnet import model
 from tolnet.model import CorruptedNetwork
 
 
-def saved(path: Path, C: float = 1.0, **changes: object) -> Path:
+def saved(path: Path, C: float = 1.0, **changes: Any) -> Path:
     """Two nodes that see one of two states each, the second through a fading channel."""
-    given = {
+    given: dict[str, Any] = {
         "A": [[0.5, 0.25], [0.0, 0.75]],
         "Q": np.eye(2),
         "C": [[[1.0, 0.0]], [[0.0, C]]],

@@ -91,7 +91,8 @@ class Numbers:
         """Pi_0, Pi_1, ..."""
         found = [self.start]
         for k in range(count - 1):
-            A, F, Q, mu = (x[k % len(x)] for x in (self.A, self.F, self.Q, self.mu))
+            A, F, Q = (x[k % len(x)] for x in (self.A, self.F, self.Q))
+            mu = self.mu[k % len(self.mu)]
             Pi = found[-1]
             moved = plus(times(times(A, Pi), turned(A)), scaled(mu, times(times(F, Pi), turned(F))))
             found.append(plus(moved, Q))

@@ -37,7 +37,7 @@ _LONGEST = 2000
 
 
 class Claimed(NamedTuple):
-    """Windows of `window` instants, inside 0..horizon or everywhere; eq. (11), or "classical" with tau = 1, phi = 0."""
+    """Windows of `window` instants, inside 0..horizon or everywhere; "classical": tau = 1, phi = 0."""
 
     window: int
     horizon: int | None
