@@ -98,7 +98,9 @@ class Errors(NamedTuple):
     @property
     def radius(self) -> float:
         """Spectral radius of the block of F that the filters make."""
-        blocks = (powers.doubled[0][: len(unmixed.loops) * unmixed.loops.shape[1]] for _, powers, unmixed in self.parts)
+        blocks = (
+            powers.doubled[0][: len(unmixed.loops) * unmixed.loops.shape[1]] for _, powers, unmixed in self.parts
+        )
         return float(max(np.abs(np.linalg.eigvals(F[:, : len(F)])).max() for F in blocks))
 
 

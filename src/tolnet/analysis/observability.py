@@ -238,10 +238,17 @@ class _Nodes:
     """
 
     def __init__(
-        self, path: _Path, network: CorruptedNetwork, L: int, factors: Float[ndarray, "K n n"], progress: Progress | None
+        self,
+        path: _Path,
+        network: CorruptedNetwork,
+        L: int,
+        factors: Float[ndarray, "K n n"],
+        progress: Progress | None,
     ) -> None:
         N, n = network.N, network.n
-        variances = np.concatenate([np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]])
+        variances = np.concatenate(
+            [np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]]
+        )
         r = float(np.median(variances))
         states = np.broadcast_to(np.eye(n)[:, None, :] / np.sqrt(r), (len(path.A), n, 1, n))
         extra = path.windows(states, L)
@@ -249,7 +256,9 @@ class _Nodes:
             "alpha_without_node": np.full(N, np.inf),
             "alpha_of_node": np.full(N, np.inf),
             "alpha_with_copy": np.full(N, np.inf),
-            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(0),
+            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(
+                0
+            ),
         }
         alone = np.ones(N, dtype=bool)
         own = path.windows(path.Y, L) if len(factors) * N <= _EVERY_START else None

@@ -33,7 +33,9 @@ class Constraints:
         if own.shape not in ((), (network.N,)):
             complaints.append(Complaint("own_weight", f"has the shape {own.shape}; one number or {network.N} needed"))
         elif not (np.isfinite(own) & (own >= 0)).all():
-            complaints.append(Complaint("own_weight", "is no number >= 0 somewhere: a lower bound on w_kk was expected"))
+            complaints.append(
+                Complaint("own_weight", "is no number >= 0 somewhere: a lower bound on w_kk was expected")
+            )
         elif (own > 1).any():
             k = int(np.argmax(np.broadcast_to(own, network.N)))
             found = float(np.broadcast_to(own, network.N)[k])

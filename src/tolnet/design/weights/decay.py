@@ -99,9 +99,7 @@ class SecondMoments:
             return self._by_powers(weighing)
         return float(np.abs(found).max())
 
-    def resolvent(
-        self, w: Float[ndarray, " L"], s: float, *, adjoint: bool = False
-    ) -> Float[ndarray, "N n n"]:
+    def resolvent(self, w: Float[ndarray, " L"], s: float, *, adjoint: bool = False) -> Float[ndarray, "N n n"]:
         """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius."""
         from scipy.sparse.linalg import LinearOperator, gmres
 
@@ -202,7 +200,9 @@ def design_decay(
     certificate = certify(moments, final)
     bound = rate_bound(moments, among, certificate)
     rates = {name: float(np.sqrt(value)) for name, value in radii.items()}
-    return DecayDesign(W, certificate, bound, float(np.sqrt(radius * (1 + MARGIN))), rates, best_start, history, interrupted)
+    return DecayDesign(
+        W, certificate, bound, float(np.sqrt(radius * (1 + MARGIN))), rates, best_start, history, interrupted
+    )
 
 
 def certify(moments: SecondMoments, w: Float[ndarray, " L"]) -> DecayCertificate:

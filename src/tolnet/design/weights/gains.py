@@ -40,9 +40,7 @@ def deployment_of(found: Diffusion) -> Deployment:
     return replace(deployment, gains=np.ascontiguousarray(found.gains.gains))
 
 
-def _reading(
-    network: SensorNetwork, dynamics: ErrorDynamics, l: int
-) -> tuple[ndarray, Float[ndarray, "c p"]]:
+def _reading(network: SensorNetwork, dynamics: ErrorDynamics, l: int) -> tuple[ndarray, Float[ndarray, "c p"]]:
     """The channels of sensor l, and the rows t_c'."""
     own = np.flatnonzero(dynamics.owner == l)
     C, R = network.sensor(l)

@@ -177,7 +177,11 @@ def _run(
         w = unknowns.weights(x)
         value, at = objective.value(w)
         found.evaluations += 1
-        if np.isfinite(value) and w.min() >= -_NEARLY and float((unknowns.limits @ x - unknowns.high).max()) <= _NEARLY:
+        if (
+            np.isfinite(value)
+            and w.min() >= -_NEARLY
+            and float((unknowns.limits @ x - unknowns.high).max()) <= _NEARLY
+        ):
             found.offer(name, w, value if objective.plain else objective.exact(w))
             found.history.append(found.value)
             watch(label, found.value)

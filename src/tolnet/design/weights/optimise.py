@@ -207,7 +207,9 @@ def _by_mixing(at: Setting) -> Diffusion:
     before = distance_from_average(at.baseline)
     change = design.value / design.before - 1 if design.before > 0 else 0.0
     start = Start("semidefinite program", before, design.value)
-    return tell_other(at, "mixing", design.W, design.value, before, design.bound, change, [start], [before, design.value])
+    return tell_other(
+        at, "mixing", design.W, design.value, before, design.bound, change, [start], [before, design.value]
+    )
 
 
 def _by_decay(at: Setting, watch: Watch) -> Diffusion:
@@ -236,6 +238,4 @@ def _by_decay(at: Setting, watch: Watch) -> Diffusion:
         rates,
         design.history,
     )
-    return replace(
-        told, certificate=design.certificate, best_start=design.best_start, interrupted=design.interrupted
-    )
+    return replace(told, certificate=design.certificate, best_start=design.best_start, interrupted=design.interrupted)

@@ -91,9 +91,7 @@ def _prune(
         worst = columns.offsets[:-1] + np.argmin(columns.spread(cost, np.inf), axis=1)
         used[worst[crowded]] = False
         narrow = among.narrowed(used)
-        end = minimise(
-            objective, narrow.project(w), narrow.project, tolerance=1e-4, steps=10, centre=narrow.centred
-        )
+        end = minimise(objective, narrow.project(w), narrow.project, tolerance=1e-4, steps=10, centre=narrow.centred)
         found.evaluations += end.evaluations
         w = end.z
         watch(f"at most {int(columns.sums(used.astype(float)).max())} neighbours", end.value)
