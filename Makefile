@@ -18,12 +18,12 @@ $(STAMP): requirements/lock.txt pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP) ## the projectile network: problem, tolerance table, map and performance, in ./demo
+demo: $(STAMP) ## the projectile network: problem, tolerance table, performance and certificate, in ./demo
 	@$(BIN)/python scripts/demo.py demo
 
 test: $(STAMP) ## every test, notebooks included
 	@$(BIN)/python -m pytest -n 2 --dist worksteal tests
-	@$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+	@$(BIN)/python -m pytest -n 2 --nbmake --nbmake-timeout=300 notebooks
 
 check: $(STAMP) ## style, types, import directions
 	@$(BIN)/ruff check .
@@ -34,8 +34,10 @@ check: $(STAMP) ## style, types, import directions
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
 
-study: $(STAMP) ## the notebooks at full size, written back
+study: $(STAMP) ## the notebooks at full size; 10,000 altered certificates; mutants of the checker
 	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
+	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py
+	@$(BIN)/python scripts/mutate_checker.py
 
 format: $(STAMP) ## put the code into the house style
 	@$(BIN)/ruff check --fix .

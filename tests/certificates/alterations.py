@@ -94,7 +94,7 @@ def designed(document: Document) -> Iterator[tuple[str, Document]]:
         if isinstance(value, dict) and path and path[0] in ("data", "claims"):
             yield f"unknown key in {path}", put(document, (*path, "note"), "true for every network")
             for key in value:
-                kind = "less" if path[2:3] == ("scenarios",) else "no key"
+                kind = "less" if path[2:3] == ("scenarios",) or key == "inverse" else "no key"
                 yield f"{kind} {key} in {path}", put(document, path, {k: v for k, v in value.items() if k != key})
     for margin in (claim["margin"], 0.0, 0.5, 0.999999, 1.0, -1.0, 1e-300, True, None, "0.1", [0.1]):
         yield f"margin {margin!r}", put(document, (*here, "margin"), margin)
@@ -191,12 +191,12 @@ def _one_at_random(document: Document, rng: random.Random) -> Document:
         return put(document, path, rng.choice((True, False, None, 0, 1, [], {}, "0x1.0000000000000p+0")))
     if isinstance(value, int | float):
         return put(document, path, rng.choice((value + 1, value - 1, -value, value / 2, value * 2, int(value))))
-    return put(document, path, _other_text(value, rng) if value else rng.choice((None, "0x0.0p+0", [], 0)))
+    if isinstance(value, str) and value:
+        return put(document, path, _other_text(value, rng))
+    return put(document, path, rng.choice((None, "0x0.0p+0", [], 0)))
 
 
 def _other_text(text: str, rng: random.Random) -> str:
-    if not isinstance(text, str) or not text:
-        return text
     kind = rng.randrange(6)
     at = rng.randrange(len(text))
     if kind == 0:  # a character for another

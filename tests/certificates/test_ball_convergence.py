@@ -34,7 +34,7 @@ from tolnet.certificates.bracket import (
 )
 from tolnet.certificates.convergence import prove_convergence, verify_convergence
 from tolnet.certificates.exact_filter import Covariance
-from tolnet.certificates.numerals import symmetric_matrix, symmetric_text
+from tolnet.certificates.numerals import matrix_text, symmetric_matrix, symmetric_text, vector
 from tolnet.certificates.recursion import enclose_theta, first_covariance, step
 from tolnet.model import example
 
@@ -51,7 +51,7 @@ def test_every_case_converges_from_the_identity(name: str):
 @pytest.mark.parametrize("name", ["ring", "built-in"])
 def test_the_projectile_converges(name: str, c: float):
     network = ring_projectile() if name == "ring" else example("projectile")
-    for solved in (centre(network, c), node(network, c, 0), node(network, c, 19)):
+    for solved in (centre(network, c), node(network, c, 1)):
         claim = prove_convergence(solved.exact, solved.box(), network.initial_covariance)
         assert isinstance(claim, dict), claim
 
@@ -69,12 +69,18 @@ def test_the_orbit_is_that_of_fifty_digits(name: str):
         equations = solved.exact.equations()
         orbit = step(equations, first_covariance(equations, balls.matrix(start)), c)
         assert not isinstance(orbit, balls.NotProved)
-        for i in range(len(A)):
-            for j in range(len(A)):
-                mantissa, exponent = orbit[i, j].mid().man_exp()
-                with mp.workdps(110):
-                    off = abs(second[i, j] - mpf(int(mantissa)) * mpf(2) ** int(exponent))
-                    assert off <= mpf("1e-50") * mp.sqrt(second[i, i] * second[j, j])
+        hull = orbit.hull()
+    assert all(agree(hull[i, j], second[i, j], mp.sqrt(second[i, i] * second[j, j])) for i, j in np.ndindex(A.shape))
+
+
+def agree(x: balls.Ball, exactly, size) -> bool:
+    """Whether a ball is tiny and holds a number."""
+    with mp.workdps(110):
+        middle, radius = (
+            mpf(int(mantissa)) * mpf(2) ** int(exponent)
+            for mantissa, exponent in (part.man_exp() for part in (x.mid(), x.rad()))
+        )
+        return radius < mpf("1e-60") * size and abs(exactly - middle) <= radius + mpf("1e-70") * size
 
 
 def _inflated(P: ndarray, c: float) -> ndarray:
@@ -136,12 +142,14 @@ def test_what_proves_nothing_is_refused():
         altered(claim, steps=steps // 2),
         altered(claim, steps=0),
         altered(claim, steps=10**9),
-        altered(claim, bits=64),
         altered(claim, bits=2),
         altered(claim, bits=10**9),
         altered(claim, Y=symmetric_text(np.zeros((21, 21)))),
         altered(claim, Y=symmetric_text(-symmetric_matrix(claim["proof"]["Y"]))),
         altered(claim, Y="0x1p+0"),
+        altered(claim, factor=""),
+        altered(claim, factor=matrix_text(np.zeros((6, 6)))),
+        altered(claim, factor=matrix_text(vector(claim["proof"]["factor"]) * 2)),
         claim | {"start": symmetric_text(np.zeros((6, 6)))},
         claim | {"start": symmetric_text(-np.eye(6))},
         claim | {"start": symmetric_text(np.eye(5))},
@@ -168,16 +176,17 @@ def test_a_region_is_accepted_only_where_steps_contract(grow: float, factor: flo
         return
     assert rate < 1
     Y = symmetric_matrix(claim["proof"]["Y"])
+    L = vector(claim["proof"]["factor"]).reshape(6, 6)
     factor_of_Y, (i, j) = np.linalg.cholesky(Y), np.triu_indices(6)
     root = np.where(i == j, 1.0, np.sqrt(2.0))
     rng = np.random.default_rng(1)
     for _ in range(15):
         u = np.linalg.solve(factor_of_Y.T, rng.normal(size=21))
         u *= radius / np.linalg.norm(factor_of_Y.T @ u)
-        P = solved.P.copy()
-        P[i, j] += u / root
-        P[j, i] = P[i, j]
-        moved = (_step(solved, P) - solved.P)[i, j] * root
+        D = np.zeros((6, 6))
+        D[i, j] = D[j, i] = u / root
+        after = _step(solved, solved.P + L @ D @ L.T) - solved.P
+        moved = np.linalg.solve(L, np.linalg.solve(L, after).T)[i, j] * root
         assert np.linalg.norm(factor_of_Y.T @ moved) <= rate * radius * (1 + 1e-6)
 
 
@@ -243,9 +252,9 @@ def test_without_a_sensor_everything_depends_on_kappa():
     limit = 1 / 0.81 - 1 + np.log(0.81)
     assert isinstance(prove_convergence_for_all(scalar_filter(0.9, 1.0, 0.0, 0.95 * limit)), dict)
     assert isinstance(prove_convergence_for_all(scalar_filter(0.9, 1.0, 0.0, 1.0001 * limit)), balls.NotProved)
-    claim = largest_tolerance_for_all(scalar_filter(0.9, 1.0, 0.0, 0.0), within=1.3)
+    claim = largest_tolerance_for_all(scalar_filter(0.9, 1.0, 0.0, 0.0), within=2.0)
     assert isinstance(claim, dict)
-    assert 0.7 * limit < float.fromhex(claim["c"]) < limit
+    assert 0.49 * limit < float.fromhex(claim["c"]) < limit
 
 
 def test_one_state_converges_from_every_start_at_any_tolerance():
@@ -257,6 +266,6 @@ def test_one_state_converges_from_every_start_at_any_tolerance():
 
 
 def test_the_largest_tolerance_is_found_by_bisection():
-    claim = largest_tolerance_for_all(projectile().exact, within=1.3)
+    claim = largest_tolerance_for_all(projectile().exact, within=2.0)
     assert isinstance(claim, dict)
-    assert 0.0033 < float.fromhex(claim["c"]) < 0.0048
+    assert 0.0021 < float.fromhex(claim["c"]) < 0.0048

@@ -35,6 +35,31 @@ def test_the_smallest_change_of_the_data_that_matters_is_noticed(name: str) -> N
         assert finding.result == "invalid" or is_true(data, claim)
 
 
+@pytest.mark.parametrize("name", ["eigenpair", "eigenpair, centre"])
+def test_an_eigenpair_needs_no_inverse(name: str) -> None:
+    document = certificate(name)
+    del document["claims"][0]["witness"]["inverse"]
+    assert check(document)[0].result == "valid"
+    words = document["claims"][0]["witness"]["vector"].split()
+    document["claims"][0]["witness"]["vector"] = " ".join((2 + float.fromhex(x)).hex() for x in words)
+    assert check(document)[0].result == "invalid"
+    document["claims"][0]["witness"]["vector"] = " ".join((0.0).hex() for _ in words)  # a singular Jacobian
+    assert check(document)[0].result == "not checked here"
+
+
+def test_zeros_at_the_end_of_a_fraction_may_be_left_out_but_nothing_is_rounded() -> None:
+    document = certificate("primal network")
+    data = document["data"]
+    data["C"] = [words.replace("0x1.0000000000000p", "0x1p") for words in data["C"]]
+    short = {"A": "0x1.8p-1 0x0p+0 0x0.0p+0 0x1p-2", "B": "0x1.8p-1 0x0p+0 0x0p+0 0x1p-2"}
+    data["A"] = short["B"]
+    assert check(document)[0].result in ("valid", "invalid")
+    for wrong in (short["A"], "0x1.80p-1 0x0p+0 0x0p+0 0x1p-2", "0x1.fffffffffffffp-1070 0x0p+0 0x0p+0 0x1p-2"):
+        data["A"] = wrong
+        with pytest.raises(checker.Refused, match=r"data\.A"):
+            check(document)
+
+
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-I", checker.__file__, *map(str, arguments)], capture_output=True, text=True, check=False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ def result(data: Document, claim: Document) -> str:
     return check(document(data, claim))[0].result
 
 
-def proved(method: str, margin: float = 0.0, **proof: object) -> Document:
+def proved(method: str, margin: Any = 0.0, **proof: Any) -> Document:
     return {
         "claim": "schur-stability",
         "block": "network",
@@ -38,7 +39,7 @@ def proved(method: str, margin: float = 0.0, **proof: object) -> Document:
     }
 
 
-def refuted(method: str, **witness: object) -> Document:
+def refuted(method: str, **witness: Any) -> Document:
     return {
         "claim": "schur-stability",
         "block": "network",
@@ -50,12 +51,15 @@ def refuted(method: str, **witness: object) -> Document:
     }
 
 
-ONE, EVERY = text([1.0]), {
-    "primal": {"X": [text([1.0])]},
-    "dual": {"Y": [text([1.0])]},
-    "power": {"power": 2, "X": [text([1.0])], "shares": [text([1.0])]},
-    "full": {"X": text([1.0])},
-}
+ONE, EVERY = (
+    text([1.0]),
+    {
+        "primal": {"X": [text([1.0])]},
+        "dual": {"Y": [text([1.0])]},
+        "power": {"power": 2, "X": [text([1.0])], "shares": [text([1.0])]},
+        "full": {"X": text([1.0])},
+    },
+)
 
 
 @NEAR
@@ -102,13 +106,45 @@ def test_the_margin_is_exact(method: str) -> None:
     for margin, holds in ((limit - 2.0**-53, True), (limit, False), (limit + 2.0**-53, False), (0, True)):
         assert result(scalar_data(0.5), proved(method, margin, **EVERY[method])) == ("valid" if holds else "invalid")
     for margin in (-TINY, 1.0, 1, 1.5, True, None, "0.1"):
-        assert result(scalar_data(0.0), proved(method, margin, **EVERY[method])) == "invalid"  # type: ignore[arg-type]
+        assert result(scalar_data(0.0), proved(method, margin, **EVERY[method])) == "invalid"
 
 
 @pytest.mark.parametrize("method", EVERY)
 def test_the_rate_is_exact(method: str) -> None:
     for rate, holds in ((0.5 + TINY, True), (0.5, False), (0.5 - TINY, False), (-0.6, False), (0.0, False)):
         claim = proved(method, **EVERY[method])
+        said = f"Every eigenvalue of {BLOCKS['network']} lies inside the circle of radius {rate!r}."
+        claim |= {"claim": "decay-rate", "rate": rate.hex(), "statement": said}
+        assert result(scalar_data(0.5), claim) == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize(
+    ("method", "a", "diagonal"),
+    [
+        ("primal", 0.5, (4, 1)),
+        ("power", 0.5, (4, 1)),
+        ("full", 0.5, (4, 1)),
+        ("dual", 0.5, (1, 4)),
+        ("lyapunov", 2, (1, 16)),
+    ],
+)
+def test_what_is_transposed_is_noticed(method: str, a: float, diagonal: tuple[float, float]) -> None:
+    """F = [[a, 1], [0, a]]: the diagonal matrix proves it from one side only."""
+    data = {**scalar_data(1.0), "n": 2, "A": text([a, 1, 0, a]), "process": {"Q": text([1, 0, 0, 1])}}
+    for (x, y), expected in ((diagonal, "valid"), (diagonal[::-1], "invalid")):
+        X = text([x, 0, y])
+        proofs = {"primal": {"X": [X]}, "dual": {"Y": [X]}, "full": {"X": X}}
+        proofs["power"] = {"X": [X], "power": 2, "shares": [ONE]}
+        if method == "lyapunov":
+            assert result(data, refuted(method, X=X, v=text([1, 0]))) == expected
+        else:
+            assert result(data, proved(method, **proofs[method])) == expected
+
+
+@pytest.mark.parametrize("j", [3, 4, 5])
+def test_the_rate_of_many_steps_is_exact(j: int) -> None:
+    for rate, holds in ((0.5 + TINY, True), (0.5, False)):
+        claim = proved("power", **{**EVERY["power"], "power": j})
         said = f"Every eigenvalue of {BLOCKS['network']} lies inside the circle of radius {rate!r}."
         claim |= {"claim": "decay-rate", "rate": rate.hex(), "statement": said}
         assert result(scalar_data(0.5), claim) == ("valid" if holds else "invalid")
@@ -176,8 +212,10 @@ def test_a_link_that_drops_takes_its_measurement_along(g: float, holds: bool, di
     how = {} if directed else {"drop 1": {"drop": 1}}
     how |= {"every link": {"scenarios": [{"drop": [[0, 1], [1, 0]] if directed else [[0, 1]]}]}}
     for name, own in how.items():
-        tail = "links drop and return, at most 1 at once" if "drop" in own else (
-            "the nominal network and 1 scenarios alternate"
+        tail = (
+            "links drop and return, at most 1 at once"
+            if "drop" in own
+            else ("the nominal network and 1 scenarios alternate")
         )
         claim = {
             "claim": "switching",
@@ -191,6 +229,41 @@ def test_a_link_that_drops_takes_its_measurement_along(g: float, holds: bool, di
         assert result(data, claim) == ("valid" if holds else "invalid"), name
         negative = {**data, "weights": [text([1.5, -0.5])] * 2}
         assert result(negative, claim) == "invalid"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "holds"),
+    [
+        ({}, True),
+        ({"weights": [text([0.5, 0.25])] * 2}, True),
+        ({"weights": [text([0.5, 1.5])] * 2}, False),
+        ({"gains": [text([0.25 + TINY, 0.25])] * 2}, True),
+        ({"gains": [text([0.25, 0.25])] * 2}, False),
+        ({"gains": [text([0.0, 0.0]), text([0.5, 0.5])]}, False),
+        ({"weights": [text([0.25, 0.25])] * 2, "gains": [text([0.25, 0.25])] * 2}, True),
+    ],
+)
+def test_every_scenario_counts(scenario: Document, holds: bool) -> None:
+    """M = 3/2 less both gains, Y = 1: stable together, whatever the order of the scenarios."""
+    how = "the nominal network and 2 scenarios alternate"
+    said = f"The network block of the error dynamics stays stable however {how}."
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0, "reason": None}
+    claim["proof"] = {"Y": [ONE] * 2}
+    for scenarios in ([scenario, {}], [{}, scenario]):
+        found = result(switching_data(1.5, 0.5), claim | {"scenarios": scenarios})
+        assert found == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize("own", [{"drop": 1}, {"scenarios": []}])
+def test_an_indefinite_Y_proves_no_switching(own: Document) -> None:
+    """F = 2, Y = -1: Y - F' Y F = 3 is positive all the same."""
+    how = "links drop and return, at most 1 at once"
+    how = how if "drop" in own else "the nominal network and 0 scenarios alternate"
+    said = f"The network block of the error dynamics stays stable however {how}."
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0, "reason": None, **own}
+    for a, Y, holds in ((2.0, -1.0, False), (2.0, 1.0, False), (0.5, 1.0, True), (0.5, 0.0, False)):
+        claim["proof"] = {"Y": [text([Y])]}
+        assert result(scalar_data(a), claim) == ("valid" if holds else "invalid")
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -81,6 +81,7 @@ def test_counter_examples_are_refuted_and_mended(tolnet: Tolnet, tmp_path: Path,
     assert stand_alone(path).returncode == 0
     assert tolnet("certify", mended, "--claims", "schur-stability").code == 0
     proposed, repaired = model.example(name), model.load(mended)
+    assert isinstance(proposed, model.SensorNetwork)
     W, w = (design.diffusion_matrix(network).toarray() for network in (repaired, proposed))
     assert 0 < np.linalg.norm(W - w) < np.linalg.norm(np.eye(len(w)) - w)
     assert tolnet("certify", name, "--diffusion", "none", "--claims", "schur-stability").code == 0

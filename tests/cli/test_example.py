@@ -25,9 +25,10 @@ def test_what_is_written_is_a_valid_problem(name: str, tolnet: Tolnet, tmp_path:
     path = tmp_path / "problem.toml"
     ran = tolnet("example", name, "-o", path)
     assert ran.code == 0
-    assert f"tolnet table {path}" in ran.out
+    command = "observability" if name.startswith("field") else "table"
+    assert f"tolnet {command} {path}" in ran.out
     assert tolnet("validate", path).code == 0
-    assert model.load(path).name == model.example(name).name
+    assert model.load_problem(path).name == model.example(name).name
 
 
 def test_what_is_printed_is_the_file(tolnet: Tolnet, tmp_path: Path):

@@ -50,7 +50,7 @@ def test_help_imports_no_arrays():
     program = "import sys; from tolnet.cli import main; main(['--help']); print('numpy' in sys.modules)"
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ran.stdout.split()[-1] == "False"
-    for command in ("example", "table", "validate", "diff", "performance", "simulate"):
+    for command in ("example", "table", "validate", "diff", "performance", "diffusion", "simulate"):
         assert f" {command} " in ran.stdout
 
 

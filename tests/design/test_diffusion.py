@@ -111,7 +111,7 @@ def test_an_unknown_rule_names_the_nearest():
     network = scalar_network([[0, 1]], 2)
     with pytest.raises(InputError, match=r"diffusion\.rule is 'metropolys'; did you mean 'metropolis'\?"):
         diffusion_matrix(network, "metropolys")
-    with pytest.raises(InputError, match="expected one of uniform, relative-degree"):
+    with pytest.raises(InputError, match="expected one of relative-degree, uniform"):
         diffusion_matrix(network, "zzz")
 
 

@@ -50,7 +50,7 @@ FAULTS: list[tuple[tuple[Any, ...], Any, str, str]] = [
     (("plnt",), {}, "plnt", "is no known key; the nearest is 'plant'"),
     (("plant", "initial_covarience"), [[1.0]], "plant.initial_covarience", "the nearest is 'initial_covariance'"),
     (("plant", "a"), 1, "plant.a", "the nearest is 'A'"),
-    (("plant", "F"), [[1.0]], "plant.F", "is no known key"),
+    (("plant", "G"), [[1.0]], "plant.G", "is no known key"),
     (("sensors", 3, "r"), [[1.0]], "sensors[3].r", "the nearest is 'R'"),
     (("plant",), 3, "plant", "is 3; a table was expected"),
     (("plant", "A"), [[1.0, 2.0]], "plant.A", "is 1 x 2; an n x n matrix was expected"),

@@ -179,12 +179,15 @@ def test_random_networks_that_do_not_exist():
 
 def test_the_list_of_examples():
     names = model.example_names()
-    assert list(names) == ["projectile", "ieee14", "random"]
+    unstable = ["unstable-path", "unstable-ring", "unstable-metropolis"]
+    assert list(names) == ["projectile", "ieee14", *unstable, "random", "field", "field-50"]
     for name in names:
         network = model.example(name)
         assert network.name == name
         assert network.description
-        assert network.ambiguity is not None
+        corrupted = isinstance(network, model.CorruptedNetwork)
+        assert corrupted == name.startswith("field")
+        assert corrupted or network.ambiguity is not None
     assert_same(model.example("random", nodes=7, seed=2), random_network(7, 2))
 
 

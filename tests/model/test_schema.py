@@ -56,7 +56,7 @@ EYE = np.eye(6).tolist()
 SPOILT = [
     (("schema",), "tolnet.problem/2"),
     (("plnt",), {}),
-    (("plant", "F"), EYE),
+    (("plant", "G"), EYE),
     (("plant", "A"), "eye"),
     (("plant", "A", 0, 0), "1"),
     (("plant", "A", 0, 0), True),

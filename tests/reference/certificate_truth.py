@@ -52,9 +52,10 @@ def radius_is_below(F: ndarray, s: Fraction) -> int:
     if abs(radius - float(s)) > 1e-6 * (float(s) + radius):
         return -1 if radius < s else 1
     with mp.workdps(80):
-        values = mp.eig(mp.matrix([[_mpf(x) for x in row] for row in F.tolist()]), left=False, right=False)
+        matrix = mp.matrix([[_mpf(x) for x in row] for row in F.tolist()])
+        values = mp.eig(matrix, left=False, right=False)  # pyright: ignore[reportAttributeAccessIssue]
         exact = max(abs(value) ** 2 for value in values) - _mpf(s)
-        return 0 if abs(exact) < mpf(10) ** -50 else int(mp.sign(exact))
+        return 0 if abs(exact) < mpf(10) ** -50 else 1 if exact > 0 else -1
 
 
 def _mpf(x: Fraction | int) -> Any:
@@ -132,7 +133,7 @@ def mean_square_deviations(at: Numbers) -> list[Fraction]:
         step = solve_discrete_lyapunov(rounded, residual.astype(float))
         Q = Q + np.array([Fraction(float(x)) for x in np.ravel(step)], dtype=object).reshape(Q.shape)
     n = at.n
-    return [sum(Q[i, i] for i in range(k * n, (k + 1) * n)) for k in range(at.N + 1)]
+    return [sum((Q[i, i] for i in range(k * n, (k + 1) * n)), Fraction(0)) for k in range(at.N + 1)]
 
 
 def _performs(at: Numbers, claim: Document) -> bool:

@@ -328,14 +328,14 @@ def instability_claim(data: Document, method: str, *, of: str = "network", block
     else:
         values, vectors = np.linalg.eig(F)
         i = int(np.argmax(abs(values)))
-        value, z = complex(values[i]), vectors[:, i]
+        value, z = complex(values[i]), vectors[:, i].astype(complex)
         pivot = int(np.argmax(abs(z)))
         J = np.zeros((d + 1, d + 1), dtype=complex)
         J[:d, :d], J[:d, d], J[d, pivot] = F - value * np.eye(d), -z, 1
         B = np.linalg.inv(J)
         witness |= {
             "eigenvalue": text([value.real, value.imag]),
-            "vector": text([z.real, z.imag]),
+            "vector": text([np.real(z), np.imag(z)]),
             "pivot": pivot,
             "inverse": text([B.real, B.imag]),
             "radius": text([1e-9]),

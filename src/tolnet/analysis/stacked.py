@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float, Inexact
 from numpy import ndarray
@@ -21,6 +23,37 @@ def solve(a: Inexact[ndarray, "K n n"], b: Inexact[ndarray, "K n m"]) -> Inexact
             return np.full(b.shape, np.nan)
         half = len(a) // 2
         return np.concatenate([solve(a[:half], b[:half]), solve(a[half:], b[half:])])
+
+
+def inverse(a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+    """The inverse of every member of a stack; NaN where it is exactly singular."""
+    return _one_by_one(np.linalg.inv, a)
+
+
+def cholesky(a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+    """The lower triangular factor of every member of a stack; NaN where it is not positive definite."""
+    return _one_by_one(np.linalg.cholesky, a)
+
+
+def definite(X: Float[ndarray, "K n n"]) -> Bool[ndarray, " K"]:
+    """Which symmetric members are positive definite: all pivots of an elimination without exchanges are positive."""
+    rest = np.array(np.moveaxis(X, 0, 2))
+    positive = rest[0, 0] > 0
+    for k in range(len(rest) - 1):
+        rest[k + 1 :, k + 1 :] -= rest[k + 1 :, k, None] * (rest[k, None, k + 1 :] / rest[k, k])
+        positive &= rest[k + 1, k + 1] > 0  # False for what is not a number
+    return positive
+
+
+def _one_by_one(function: Callable[[ndarray], ndarray], a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+    """Halve a stack that fails until the culprit is alone."""
+    try:
+        return function(a)
+    except np.linalg.LinAlgError:
+        if len(a) == 1:
+            return np.full(a.shape, np.nan)
+        half = len(a) // 2
+        return np.concatenate([_one_by_one(function, a[:half]), _one_by_one(function, a[half:])])
 
 
 def finite_members(X: Inexact[ndarray, "*K n m"]) -> Bool[ndarray, "*K"]:

@@ -44,18 +44,10 @@ def lyapunov(J: Float[ndarray, "d d"], rate: float) -> Float[ndarray, "d d"] | N
     return None
 
 
-def balanced(J: Float[ndarray, "d d"]) -> Float[ndarray, " d"]:
-    """Powers of two s with diag(s)^-1 J diag(s) of rows and columns of like size (Osborne's method)."""
-    size, s = np.abs(J) * (1 - np.eye(len(J))), np.ones(len(J))
-    for _ in range(20):
-        before = s.copy()
-        for i in range(len(J)):
-            row, col = size[i] @ s / s[i], size[:, i] @ (1 / s) * s[i]
-            if row > 0 and col > 0:
-                s[i] *= np.exp2(np.round(np.log2(row / col) / 2))
-        if (s == before).all():
-            break
-    return s
+def _units(P: Float[ndarray, "n n"]) -> Float[ndarray, " d"]:
+    """Powers of two near sqrt(P_ii P_jj): in these units of the coordinates, those of the states do not matter."""
+    root = np.exp2(np.round(np.log2(np.diag(P)) / 2))
+    return np.outer(root, root)[np.triu_indices(len(P))]
 
 
 def prove_attraction(exact: ExactFilter, box: Box) -> dict[str, Any] | NotProved:
@@ -69,7 +61,7 @@ def prove_attraction(exact: ExactFilter, box: Box) -> dict[str, Any] | NotProved
     rate = radius + _SLACK * (1 - radius)
     if not rate < 1:
         return NotProved(f"the spectral radius of the derivative is about {radius:.6g}")
-    s = balanced(J)
+    s = _units(box.P)
     Y = lyapunov(J * s / s[:, None], radius + _SLACK / 2 * (1 - radius))
     if Y is None:
         return NotProved(f"no Lyapunov matrix was found for the rate {rate:.6g}")
@@ -118,7 +110,7 @@ def refute_attraction(exact: ExactFilter, box: Box) -> dict[str, Any] | NotProve
         J = balls.midpoints(derivative_at(found))
     if not spectral_radius(J) > 1:
         return NotProved("no eigenvalue of the derivative lies outside the unit circle in floating point")
-    s = balanced(J)
+    s = _units(box.P)
     values, T = np.linalg.eig(J * s / s[:, None])
     try:
         inverse = np.linalg.inv(T)

@@ -97,6 +97,16 @@ def congruence(T: BallMatrix, M: BallMatrix) -> BallMatrix:
     return symmetric_part(T * M * T.transpose())
 
 
+def outward(M: BallMatrix, sign: int) -> BallMatrix:
+    """An exact matrix below (sign -1) or above (sign 1) every symmetric matrix in M: its radii go to the diagonal."""
+    n = M.nrows()
+    rows = symmetric_part(M).tolist()
+    for i, row in enumerate(rows):
+        moved = row[i].mid() + sign * sum((x.rad() for x in row), ball(0)).upper()
+        row[i] = moved.upper() if sign > 0 else moved.lower()
+    return matrix_of(n, n, [rows[min(i, j)][max(i, j)].mid() for i in range(n) for j in range(n)])
+
+
 def row_sum_norm(M: BallMatrix) -> Ball:
     """The largest row sum of moduli, bounded above."""
     n = M.ncols()

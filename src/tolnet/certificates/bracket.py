@@ -111,7 +111,7 @@ def verify_convergence_for_all(exact: ExactFilter, claim: dict[str, Any]) -> str
             return "the bracket was not enclosed: a matrix that must be inverted may be singular"
         if isinstance(ends, NotProved):
             return ends.reason
-        if not region.holds(found, _between(*ends)):
+        if not region.holds(found, _between(*(region.seen(found, end) for end in ends))):
             return f"the bracket does not lie in the region after {steps} steps"
     return None
 
@@ -165,8 +165,8 @@ def _bracket(
             above = by_theta if by_theta.trace() < by_kappa.trace() else by_kappa
         else:
             above = by_kappa
-        L = _rounded(equations.following(equations.at(L, least)), -1)
-        U = _rounded(above, 1)
+        L = balls.outward(equations.following(equations.at(L, least)), -1)
+        U = balls.outward(above, 1)
         if not balls.is_positive(L):
             return NotProved(f"step {j + 1} of the bracket: its lower end was not shown to be positive definite")
     return L, U
@@ -181,23 +181,13 @@ def _scalar_bracket(
     if not (below >= 1 and (c == 0 or below - 1 - below.log() <= equations.c)):
         return NotProved("the factor kappa of the tolerance was not enclosed")
     for _ in range(steps):
-        L, U = _rounded(_push(equations, L, below), -1), _rounded(_push(equations, U, above), 1)
+        L, U = balls.outward(_push(equations, L, below), -1), balls.outward(_push(equations, U, above), 1)
     return L, U
 
 
 def _push(equations: Equations, P: BallMatrix, kappa: Any) -> BallMatrix:
     """A ((kappa P)^-1 + S)^-1 A' + Q."""
     return equations.following(equations.at(P * kappa, balls.ball(0)))
-
-
-def _rounded(M: BallMatrix, sign: int) -> BallMatrix:
-    """An exact matrix below (sign -1) or above (sign 1) every symmetric matrix in M: its radii go to the diagonal."""
-    n = M.nrows()
-    rows = balls.symmetric_part(M).tolist()
-    for i, row in enumerate(rows):
-        moved = row[i].mid() + sign * sum((x.rad() for x in row), balls.ball(0)).upper()
-        row[i] = moved.upper() if sign > 0 else moved.lower()
-    return balls.matrix_of(n, n, [rows[min(i, j)][max(i, j)].mid() for i in range(n) for j in range(n)])
 
 
 def _between(L: BallMatrix, U: BallMatrix) -> BallMatrix:
@@ -332,6 +322,8 @@ class _Floating:
     def _distance(L: ndarray, U: ndarray, region: Region, centre: ndarray) -> float:
         """An upper bound on the distance of [L, U], as `Region.holds` finds it."""
         i, j = np.triu_indices(len(L))
-        root = np.sqrt(np.maximum(np.diag(U - L) / 2, 0.0))
-        size = (np.abs((L + U) / 2 - centre) + np.outer(root, root))[i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
+        back = np.linalg.inv(region.L)
+        middle, half = back @ ((L + U) / 2 - centre) @ back.T, np.diag(back @ (U - L) @ back.T) / 2
+        root = np.sqrt(np.maximum(half, 0.0))
+        size = (np.abs(middle) + np.outer(root, root))[i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
         return float(np.sqrt(size @ np.abs(region.Y) @ size))

@@ -25,7 +25,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import combinations, pairwise
 from operator import mul
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
@@ -33,7 +33,7 @@ LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 WIDEST_RANGE = 1024  # bits that the numbers of one text may span
 LARGEST_MATRIX = 800  # rows of a matrix that speaks of all nodes at once
 MOST_WORK = 10**9  # multiplications that a claim may cost, roughly
-NUMERAL = re.compile(r"-?0x[01](\.[0-9a-f]{1,13})?p[+-][0-9]{1,4}")  # what float.hex writes of a finite double
+LAST_ZEROS = re.compile(r"\.?0+p")  # of the fraction of a hexadecimal number: they may be left out
 SMALL = 12  # rows up to which elimination decides definiteness
 
 
@@ -179,11 +179,16 @@ def is_positive_definite(S: Matrix) -> bool:
     return len(S.rows) ** 4 * bits <= 20 * MOST_WORK and _minors_are_positive(S.rows)
 
 
-def _minors_are_positive(rows: list[list[int]]) -> bool:
-    """Fraction-free elimination (Bareiss): the pivots are the leading principal minors; every division is exact."""
+def _minors_are_positive(rows: list[list[int]], semidefinite: bool = False) -> bool:
+    """Fraction-free elimination (Bareiss): the pivots are the leading principal minors; every division is exact.
+
+    A row and column of zeros keep a matrix from being definite, and may be left out to see that it is semidefinite.
+    """
     rows, previous = [list(row) for row in rows], 1
     for j, pivot_row in enumerate(rows):
         pivot = pivot_row[j]
+        if semidefinite and not any(pivot_row[j:]):
+            continue
         if pivot <= 0:
             return False
         for i in range(j + 1, len(rows)):
@@ -222,7 +227,7 @@ def _guess(rows: list[list[int]]) -> list[list[int]] | None:
     G = [[0] * size for _ in range(size)]
     for j, column in enumerate(inverse):
         for i, x in enumerate(column, start=j):
-            if not math.isfinite(x):
+            if not abs(x) < 2.0**900:
                 return None
             G[i][j] = round(math.ldexp(x, 54)) << (top - half[j])
     return G
@@ -344,6 +349,54 @@ class Deployment:
         return sum(terms, self.Q)
 
 
+@dataclass(frozen=True)
+class Channels:
+    """The numbers of `data` of a network with corrupted channels, each over a period of its own."""
+
+    n: int
+    A: list[Matrix]
+    F: list[Matrix]
+    Q: list[Matrix]
+    mu: list[Fraction]
+    C: list[list[Matrix]]  # p x n
+    R: list[list[Matrix]]
+    tau: list[list[Fraction]]
+    phi: list[list[Fraction]]
+    start: Matrix
+
+    @property
+    def period(self) -> int:
+        """After how many instants everything repeats."""
+        return math.lcm(*(len(x) for x in (self.A, self.F, self.Q, self.mu, self.C, self.R, self.tau, self.phi)))
+
+    def step(self, k: int, X: Matrix) -> Matrix:
+        """A X A' + mu F X F' + Q at instant k."""
+        noise = _at(self.mu, k) * _congruence(_at(self.F, k), X) + _at(self.Q, k)
+        return _congruence(_at(self.A, k), X) + noise
+
+    def information(self, k: int, gains: list[Matrix], X: Matrix | None, sharp: bool) -> Matrix:
+        """sum_i tau^2 (C'K + K'C - K' Rt K), Rt = R + phi C X C', over the sensors whose K is not zero."""
+        terms: list[tuple[Fraction | int, Matrix]] = []
+        for i, K in enumerate(gains):
+            if not any(map(any, K.rows)):
+                continue
+            tau, phi = (_at(self.tau, k)[i], _at(self.phi, k)[i]) if sharp else (1, 0)
+            seen = _at(self.C, k)[i].T @ K
+            terms += [(tau**2, seen + seen.T), (-(tau**2), _congruence(K.T, _at(self.R, k)[i]))]
+            if phi:
+                if X is None:
+                    raise Wrong(f"proof.gains: sensor {i} fades, and there are no moments")
+                terms.append((-phi * tau**2, _congruence(seen.T, X)))
+        return _combination(terms, self.n)
+
+
+Item = TypeVar("Item")
+
+
+def _at(period: list[Item], k: int) -> Item:
+    return period[k % len(period)]
+
+
 def _sigma(weights: dict[int, dict[int, Fraction]]) -> dict[int, Fraction]:
     return {k: sum(map(abs, row.values()), Fraction(0)) for k, row in weights.items()}
 
@@ -449,12 +502,10 @@ def unstable(claim: dict[str, Any], at: Deployment) -> None:
         _require(v.by(X).by(v).value(0, 0) > 0, "v' X v is not positive")
         _require_definite(_congruence(block.T, X) - X, "the Lyapunov difference of the witness")
     elif method == "eigenpair":
-        eigenpair(_object(claim["witness"], "witness", "of", "method", *EIGENPAIR), block)
+        keys = ("eigenvalue", "vector", "pivot", "radius")
+        eigenpair(_object(claim["witness"], "witness", "of", "method", *keys, optional=("inverse",)), block)
     else:
         raise Wrong("witness.method: expected lyapunov or eigenpair")
-
-
-EIGENPAIR = ("eigenvalue", "vector", "pivot", "inverse", "radius")
 
 
 def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
@@ -464,8 +515,6 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
     pair = _matrix(witness["vector"], 2, d, "witness.vector")
     x, y = pair.part(0, 1, 0, d), pair.part(1, 2, 0, d)
     pivot = _whole(witness["pivot"], 0, d - 1, "witness.pivot")
-    both = _matrix(witness["inverse"], 2 * (d + 1), d + 1, "witness.inverse")
-    B, D = both.part(0, d + 1, 0, d + 1), both.part(d + 1, 2 * (d + 1), 0, d + 1)  # the inverse is B + iD
     rho = Fraction(_doubles(witness["radius"], 1, "witness.radius")[0])
     _require(rho > 0, "witness.radius is not positive")
 
@@ -474,6 +523,11 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
     f, g = _beside([x.by(block) - a * x + b * y, corner]), _beside([y.by(block) - a * y - b * x, corner])
     Jx = _bordered(block - a * Matrix.unit(d), x, selection)  # the Jacobian is Jx + i Jy
     Jy = _bordered(-b * Matrix.unit(d), y, Matrix.zero(d, 1))
+    if "inverse" in witness:
+        both = _matrix(witness["inverse"], 2 * (d + 1), d + 1, "witness.inverse")
+    else:
+        both = _guess_inverse(Jx, Jy)
+    B, D = both.part(0, d + 1, 0, d + 1), both.part(d + 1, 2 * (d + 1), 0, d + 1)  # the inverse is B + iD
     residual = _norm((f.by(B) - g.by(D)).T, (g.by(B) + f.by(D)).T)
     defect = _norm(Matrix.unit(d + 1) - (B @ Jx - D @ Jy), B @ Jy + D @ Jx)
     _require(residual + defect * rho + _norm(B, D) * rho**2 < rho, "the Newton step leaves the ball of the witness")
@@ -483,6 +537,30 @@ def eigenpair(witness: dict[str, Any], block: Matrix) -> None:
 def _bordered(P: Matrix, z: Matrix, selection: Matrix) -> Matrix:
     """[[P, -z], [selection', 0]]."""
     return _beside([_beside([P.T, selection]).T, _beside([-1 * z, Matrix.zero(1, 1)]).T])
+
+
+def _guess_inverse(re: Matrix, im: Matrix) -> Matrix:
+    """[B; D] with B + iD near the inverse of re + i im: Gauss-Jordan elimination in floating point."""
+    size = len(re.rows)
+    try:
+        parts = [[[float(_scaled(x, P.exponent)) for x in row] for row in P.rows] for P in (re, im)]
+        rows = [list(map(complex, a, b)) + [0j] * size for a, b in zip(*parts, strict=True)]
+        for j in range(size):
+            rows[j][size + j] = 1 + 0j
+        for j in range(size):
+            best = max(range(j, size), key=lambda i: abs(rows[i][j]))
+            rows[j], rows[best] = rows[best], rows[j]
+            pivot = rows[j] = [x / rows[j][j] for x in rows[j]]
+            for i in range(size):
+                if i != j and rows[i][j]:
+                    factor = rows[i][j]
+                    rows[i] = [x - factor * y for x, y in zip(rows[i], pivot, strict=True)]
+        inverse = [row[size:] for row in rows]
+        scale = 80 - math.frexp(max(abs(x) for row in inverse for x in row))[1]
+        real = [[round(math.ldexp(x.real, scale)) for x in row] for row in inverse]
+        return Matrix(real + [[round(math.ldexp(x.imag, scale)) for x in row] for row in inverse], -scale)
+    except (ArithmeticError, ValueError):
+        raise Declined("the eigenpair: its Jacobian could not be inverted here") from None
 
 
 def _norm(re: Matrix, im: Matrix) -> Fraction:
@@ -649,6 +727,65 @@ def _contains(interval: Any, middle: Fraction, error: Fraction, where: str) -> N
     _require(low <= middle - error and middle + error <= high, f"{where}: the proof does not reach this interval")
 
 
+# -------------------- Observability ---------------------------------------------------------------------------
+
+
+def _windows(claim: dict[str, Any]) -> tuple[int, int | None, bool]:
+    """The length of the windows, the last instant that they may reach (None: any), and whether channels fade."""
+    L, H = _whole(claim["window"], 1, 10**6, "window"), claim["horizon"]
+    _require(H is None or _whole(H, 0, 10**6, "horizon") >= L - 1, "window: longer than the horizon")
+    _require(claim["form"] in ("sharp", "classical"), "form: expected sharp or classical")
+    return L, H, claim["form"] == "sharp"
+
+
+def observable(claim: dict[str, Any], at: Channels) -> None:
+    """sum_j Phi' S_{k+j} Phi - alpha I > 0 for the windows from every k, S_s below sum_i tau^2 C' Rt^-1 C."""
+    L, H, sharp = _windows(claim)
+    proof = _object(claim["proof"], "proof", "loop", "moments", "gains")
+    n, m = at.n, len(_list(proof["gains"], None, "proof.gains"))
+    loop = _whole(proof["loop"], 0, m, "proof.loop")
+    _require(loop % at.period == 0, "proof.loop: expected a multiple of the period of the data")
+    _require(loop > 0 or (H is not None and m > H), "proof: the gains end before the claim does")
+    _afford(m * L * L * n**3 + m * len(at.tau[0]) * n**3, MOST_WORK, "every window")
+
+    def following(k: int) -> int:
+        return k + 1 if k + 1 < m else m - loop
+
+    X = None if proof["moments"] is None else _symmetric_list(proof["moments"], m, n, "proof.moments")
+    if X is not None:
+        _require_definite(X[0] - at.start, "moments[0] less the initial second moment")
+        for k in range(m if loop else m - 1):
+            _require_definite(X[following(k)] - at.step(k, X[k]), f"the bound of the second moment after {k}")
+    S = []
+    for k, texts in enumerate(proof["gains"]):
+        outputs, where = _at(at.C, k), f"proof.gains[{k}]"
+        K = [
+            _matrix(text, len(C.rows), n, where)
+            for text, C in zip(_list(texts, len(outputs), where), outputs, strict=True)
+        ]
+        S.append(at.information(k, K, None if X is None else X[k], sharp))
+    G = S
+    for _ in range(L - 1):
+        G = [S[k] + _congruence(_at(at.A, k).T, G[following(k)]) for k in range(m if loop else len(G) - 1)]
+    least = _positive(claim, "alpha") * Matrix.unit(n)
+    for k, seen in enumerate(G if H is None else G[: H - L + 2]):
+        _require_definite(seen - least, f"the Gramian of the window from {k}, less alpha I,")
+
+
+def unobservable(claim: dict[str, Any], at: Channels) -> None:
+    """C Phi v = 0 for every sensor, at every instant of one window."""
+    L, H, _ = _windows(claim)
+    witness = _object(claim["witness"], "witness", "start", "vector")
+    start = _whole(witness["start"], 0, 10**6 if H is None else H - L + 1, "witness.start")
+    v = _matrix(witness["vector"], 1, at.n, "witness.vector")
+    _require(any(v.rows[0]), "witness.vector: expected another vector than zero")
+    _afford(L * L * (at.n**2 + at.n * sum(len(C.rows) for C in at.C[0])), MOST_WORK, "the window of the witness")
+    for k in range(start, start + L):
+        for i, C in enumerate(_at(at.C, k)):
+            _require(not any(v.by(C).rows[0]), f"sensor {i} sees the vector of the witness at {k}")
+        v = v.by(_at(at.A, k))
+
+
 # -------------------- Claims: their keys, their sentences, what verifies them ---------------------------------
 
 
@@ -664,7 +801,7 @@ class Finding:
     reason: str | None
 
 
-Verify = Callable[[dict[str, Any], Deployment], None]
+Verify = Callable[[dict[str, Any], Any], None]  # the last is a Deployment or, for observability, Channels
 
 
 def _block(claim: dict[str, Any]) -> str:
@@ -675,9 +812,13 @@ def _block(claim: dict[str, Any]) -> str:
 
 
 def _rate(claim: dict[str, Any]) -> float:
-    rate = _doubles(claim["rate"], 1, "rate")[0]
-    _require(rate > 0, "rate: expected a positive number")
-    return rate
+    return float(_positive(claim, "rate"))
+
+
+def _positive(claim: dict[str, Any], key: str) -> Fraction:
+    number = Fraction(_doubles(claim[key], 1, key)[0])
+    _require(number > 0, f"{key}: expected a positive number")
+    return number
 
 
 def _margin(claim: dict[str, Any]) -> Fraction:
@@ -690,6 +831,13 @@ def _margin(claim: dict[str, Any]) -> Fraction:
 def sentence(claim: dict[str, Any]) -> str:
     """The only statement that the claim may make."""
     name, block = claim["claim"], _block(claim) if "block" in claim else ""
+    if name == "observability":
+        L, H, sharp = _windows(claim)
+        windows = f"window of {L} instant{'s' * (L > 1)}" + ("" if H is None else f" within k = 0..{H}")
+        gramian = f"the {'robust' if sharp else 'classical'} Gramian"
+        if claim["verdict"] == "refuted":
+            return f"Over some {windows} no sensor sees a certain direction at all: {gramian} is singular."
+        return f"Over every {windows} {gramian} exceeds {float(_positive(claim, 'alpha'))!r} I."
     if claim["verdict"] == "refuted":
         of = claim["witness"].get("of") if isinstance(claim["witness"], dict) else None
         if of != "network" and (of != "centre" or claim["block"] != "F"):
@@ -721,6 +869,8 @@ RULES: dict[tuple[str, str], tuple[tuple[str, ...], Verify | None]] = {  # keys 
     ("decay-rate", "proved"): (("block", "rate"), stable),
     ("switching", "proved"): (("drop|scenarios",), switching),
     ("performance", "proved"): (("nodes", "centre", "network"), performance),
+    ("observability", "proved"): (("alpha", "window", "form", "horizon"), observable),
+    ("observability", "refuted"): (("window", "form", "horizon"), unobservable),
     ("steady-state", "proved"): (("node", "c", "gain_error"), None),
     ("attraction", "proved"): (("node", "c", "rate"), None),
     ("attraction", "refuted"): (("node", "c"), None),
@@ -732,7 +882,7 @@ COMMON = ("claim", "verdict", "statement", "margin", "reason")
 EVIDENCE = {"proved": "proof", "refuted": "witness"}
 
 
-def examine(claim: Any, at: Deployment) -> Finding:
+def examine(claim: Any, at: Deployment | Channels) -> Finding:
     """What is to be said of one claim."""
     given = claim if isinstance(claim, dict) else {}
     texts = (given.get(key) for key in ("claim", "verdict", "statement"))
@@ -751,9 +901,11 @@ def examine(claim: Any, at: Deployment) -> Finding:
         keys = [("drop" if "drop" in given else "scenarios") if key == "drop|scenarios" else key for key in own]
         _object(given, "the claim", *COMMON, EVIDENCE[verdict], *keys)
         _require(given["reason"] is None, "reason: expected null for a claim that is decided")
+        of_channels = name == "observability"
+        _require(of_channels == isinstance(at, Channels), "the claim speaks of another kind of data")
         if verify is None:
             raise Declined("it needs a logarithm, which tolnet check takes in ball arithmetic")
-        if verify in (unstable, performance):
+        if of_channels or verify in (unstable, performance):
             _require(given["margin"] is None, "margin: expected null")
         _require(given["statement"] == sentence(given), "the statement is not the one that this claim can make")
         verify(given, at)
@@ -784,7 +936,9 @@ def check(document: Any, watch: Watch = unwatched) -> list[Finding]:
         _require(document["schema"] == SCHEMA, f"schema: expected {SCHEMA}")
         claims = _list(document["claims"], None, "claims")
         _require(bool(claims), "claims: the certificate claims nothing")
-        deployment = _deployment(document["data"], watch)
+        data = document["data"]
+        channels = isinstance(data, dict) and "kind" in data
+        deployment = _channels(data) if channels else _deployment(data, watch)
     except Wrong as wrong:
         raise Refused(str(wrong)) from None
     return [examine(claim, deployment) for claim in claims]
@@ -864,15 +1018,17 @@ def _whole(thing: Any, low: int, high: int, where: str) -> int:
 
 def _doubles(text: Any, count: int, where: str) -> list[float]:
     """So many doubles, written as float.hex writes them, one space between two."""
-    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") != max(0, count - 1):
+    if not isinstance(text, str) or len(text) > 25 * count or text.count(" ") + (text != "") != count:
         raise Wrong(f"{where}: expected {count} hexadecimal numbers in a text")
     words = text.split(" ") if text else []
-    if len(words) != count or not all(map(NUMERAL.fullmatch, words)):
-        raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
     try:
-        return list(map(float.fromhex, words))
-    except OverflowError:
-        raise Wrong(f"{where}: a number that is no double") from None
+        values = list(map(float.fromhex, words))
+    except (ValueError, OverflowError):
+        raise Wrong(f"{where}: no hexadecimal number, or one that is no double") from None
+    canonical = " ".join(map(float.hex, values))
+    if text not in (canonical, LAST_ZEROS.sub("p", canonical)) or not all(map(math.isfinite, values)):
+        raise Wrong(f"{where}: expected {count} finite doubles, written as float.hex writes them")
+    return values
 
 
 def _matrix(text: Any, height: int, width: int, where: str) -> Matrix:
@@ -981,6 +1137,63 @@ def _deployment(data: Any, watch: Watch) -> Deployment:
         tilt=tilt,
         watch=watch,
     )
+
+
+def _channels(data: Any) -> Channels:
+    letters = ("A", "F", "Q", "mu", "C", "R", "tau", "phi")
+    _object(data, "data", "kind", "n", "nodes", *letters, "initial_second_moment")
+    _require(data["kind"] == "corrupted-channels", "data.kind: expected corrupted-channels, or no such key")
+    nodes, n = _whole(data["nodes"], 1, 10**8, "data.nodes"), _whole(data["n"], 1, LARGEST_MATRIX, "data.n")
+    for key in letters:
+        _require(bool(_list(data[key], None, f"data.{key}")), f"data.{key}: expected one period")
+
+    def over(key: str, read: Callable[[Any, str], Item]) -> list[Item]:
+        return [read(text, f"data.{key}[{t}]") for t, text in enumerate(data[key])]
+
+    def square(text: Any, where: str) -> Matrix:
+        return _matrix(text, n, n, where)
+
+    def numbers(text: Any, where: str) -> list[Fraction]:
+        return list(map(Fraction, _doubles(text, nodes, where)))
+
+    def outputs(texts: Any, where: str) -> list[Matrix]:
+        p = [
+            (text.count(" ") + 1) // n if isinstance(text, str) and text else 0 for text in _list(texts, nodes, where)
+        ]
+        return [_matrix(text, p[i], n, f"{where}[{i}]") for i, text in enumerate(texts)]
+
+    C, width = over("C", outputs), range(nodes)
+    p = [len(each.rows) for each in C[0]]
+    _require(
+        all(len(at[i].rows) == p[i] for at in C for i in width), "data.C: a sensor changes its number of outputs"
+    )
+
+    def noise(texts: Any, where: str) -> list[Matrix]:
+        return [_matrix(text, p[i], p[i], f"{where}[{i}]") for i, text in enumerate(_list(texts, nodes, where))]
+
+    found = Channels(
+        n=n,
+        A=over("A", square),
+        F=over("F", square),
+        Q=over("Q", square),
+        mu=over("mu", lambda text, where: Fraction(_doubles(text, 1, where)[0])),
+        C=C,
+        R=over("R", noise),
+        tau=over("tau", numbers),
+        phi=over("phi", numbers),
+        start=_symmetric(data["initial_second_moment"], n, "data.initial_second_moment"),
+    )
+    _require(min(found.mu) >= 0, "data.mu: expected variances")
+    _require(min(min(each) for each in found.phi) >= 0, "data.phi: expected variances")
+    R = [R for each in found.R for R in each]
+    work = sum(len(S.rows) ** 3 for S in [*found.Q, *R])
+    _require(work <= MOST_WORK, "data: a network too large to be checked here")
+    _require(all(S.rows == S.T.rows for S in [*found.Q, *R]), "data: a covariance is not symmetric")
+    _require(all(map(is_positive_definite, R)), "data.R: expected positive definite matrices")
+    for S in [*found.Q, found.start]:
+        semidefinite = is_positive_definite(S) or (n <= SMALL and _minors_are_positive(S.rows, semidefinite=True))
+        _require(semidefinite, "data: a second moment is not shown to be semidefinite")
+    return found
 
 
 # -------------------- The command -----------------------------------------------------------------------------

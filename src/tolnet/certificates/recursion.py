@@ -7,6 +7,8 @@ proves that the root of every P in the enclosure lies there; theta P < I on X sa
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -16,6 +18,7 @@ from tolnet.certificates.balls import Ball, BallMatrix, NotProved
 from tolnet.certificates.exact_filter import Equations, Point
 
 _NEWTON_STEPS = 100
+_WIDENINGS = 4
 
 
 def approximate_excess(eigenvalues: Float[ndarray, " n"], c: float) -> Float[ndarray, " n"]:
@@ -57,17 +60,61 @@ def _divergence(excess: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
     return np.where(excess < 1e-3, series, excess - np.log1p(excess))
 
 
-def first_covariance(equations: Equations, V: BallMatrix) -> BallMatrix:
+class Around(NamedTuple):
+    """Every symmetric P with -spread <= P - middle <= spread, in the order of definiteness; the middle is exact."""
+
+    middle: BallMatrix
+    spread: BallMatrix
+
+    @classmethod
+    def of(cls, M: BallMatrix, spread: BallMatrix | None = None) -> Around:
+        """What lies around some matrix in M."""
+        n = M.nrows()
+        M = balls.symmetric_part(M)
+        rows = M.tolist()
+        radii = [sum((x.rad() for x in row), balls.ball(0)).upper() for row in rows]
+        shift = balls.matrix_of(n, n, [radii[i] if i == j else balls.ball(0) for i in range(n) for j in range(n)])
+        return cls(M.mid(), shift if spread is None else balls.outward(spread + shift, 1))
+
+    def hull(self) -> BallMatrix:
+        """All of it, entry by entry: |P - middle|_ij <= sqrt(spread_ii spread_jj)."""
+        n = self.middle.nrows()
+        root = [abs(self.spread[i, i]).upper().sqrt() for i in range(n)]
+        return self.middle + balls.matrix_of(n, n, [balls.ball(0, (x * y).upper()) for x in root for y in root])
+
+
+def first_covariance(equations: Equations, V: BallMatrix) -> Around:
     """P_1 = A (V_0^-1 + S)^-1 A' + Q."""
-    return equations.following(equations.at(V, balls.ball(0)))
+    return Around.of(equations.following(equations.at(V, balls.ball(0))))
 
 
-def step(equations: Equations, P: BallMatrix, c: float) -> BallMatrix | NotProved:
-    """P_{t+1} for every P_t in P. `c` is the tolerance, once more, as a double. Raises ZeroDivisionError."""
-    theta = enclose_theta(equations, P, c)
+def step(equations: Equations, P: Around, c: float) -> Around | NotProved:
+    """P_{t+1} for every P_t around a middle. `c` is the tolerance, once more, as a double. Raises ZeroDivisionError.
+
+    The middle is stepped as tightly as the precision allows. A deviation E, -W <= E <= W, becomes K E K' + dtheta M
+    with M = A Z Z A' and |dtheta| <= theta tr(N W) / tr(N P), at some point of the segment; so the spread becomes
+    K W K' + |dtheta| M, which grows far more slowly than radii of entries do.
+    """
+    theta = enclose_theta(equations, P.middle, c)
     if isinstance(theta, NotProved):
         return theta
-    return equations.following(_without_H(equations, P, theta))
+    following = equations.following(_without_H(equations, P.middle, theta))
+    hull, reach, room = P.hull(), theta, balls.ball(0)
+    for _ in range(_WIDENINGS):
+        at = equations.at(hull, reach)
+        AZ, loop = equations.A * at.Z, equations.A * at.W
+        if at.H is None:
+            return Around.of(following, balls.congruence(loop, P.spread))
+        N = balls.congruence(at.H, hull)
+        move = abs(reach * (N * P.spread).trace() / (N * hull).trace()).upper()
+        if not move.is_finite():
+            break
+        if move < room:
+            spread = balls.congruence(loop, P.spread) + AZ * AZ.transpose() * move
+            return Around.of(following, spread)
+        room = move * 1.25 + theta.rad() * 2.0**-20
+        reach = balls.ball(theta.mid(), (theta.rad() + room).upper())
+    return NotProved("theta was not enclosed")
 
 
 def _without_H(equations: Equations, P: BallMatrix, theta: Ball) -> Point:
@@ -92,7 +139,8 @@ def enclose_theta(equations: Equations, P: BallMatrix, c: float) -> Ball | NotPr
         theta = (theta - (value - equations.c) / slope).mid()
     value, slope = _gamma(P, theta)
     newton = (value - equations.c) / slope
-    X = balls.ball(theta, abs(newton).upper() * 2)
+    unit = theta * balls.ball(2) ** (4 - ctx.prec)  # the root itself is rounded to the working precision
+    X = balls.ball(theta, (abs(newton) * 2 + unit).upper())
     _, slope = _gamma(P, X)
     root = theta - (value - equations.c) / slope
     if not (X > 0 and X.contains_interior(root) and equations.is_inside(P, X)):

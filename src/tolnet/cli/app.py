@@ -9,7 +9,20 @@ import typer
 import typer.main
 
 from tolnet import __version__
-from tolnet.cli import INTERRUPTED, certify, check, diff, example, performance, simulate, table, validate
+from tolnet.cli import (
+    INTERRUPTED,
+    certify,
+    check,
+    diff,
+    diffusion,
+    example,
+    observability,
+    performance,
+    simulate,
+    table,
+    validate,
+    window,
+)
 from tolnet.cli.console import complain, prepare_streams
 
 if TYPE_CHECKING:
@@ -29,9 +42,12 @@ app.command("example")(example.example)
 app.command("validate")(validate.validate)
 app.command("table")(table.table)
 app.command("performance")(performance.performance)
+app.command("observability")(observability.observability)
+app.command("diffusion")(diffusion.diffusion)
 app.command("simulate")(simulate.simulate)
 app.command("certify")(certify.certify)
 app.command("check")(check.check)
+app.command("window")(window.window)
 app.command("diff")(diff.diff)
 
 

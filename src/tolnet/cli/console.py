@@ -123,6 +123,13 @@ class ProgressBar:
             if self._bar is not None:
                 self._bar.update(self._bar.task_ids[0], completed=done, total=total)
 
+    def say(self, what: str, value: float) -> None:
+        """Show what is going on and the value that it has reached."""
+        with self._lock:
+            self._what = f"{what}: {value:.6g}"
+            if self._bar is not None:
+                self._bar.update(self._bar.task_ids[0], description=self._what)
+
     def _appear(self) -> None:
         from rich.console import Console as RichConsole
         from rich.progress import Progress

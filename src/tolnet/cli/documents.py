@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from tolnet.report.filters import FilterReport
+from typing import Any, Protocol, runtime_checkable
 
 REPORT_SUFFIXES = (".json", ".csv", ".npz", ".md")
+
+
+@runtime_checkable
+class Report(Protocol):
+    """What can be written in every format."""
+
+    def document(self) -> dict[str, Any]: ...
+    def csv(self) -> Iterable[str]: ...
+    def markdown(self) -> Iterable[str]: ...
+    def arrays(self) -> dict[str, Any]: ...
 
 
 def render(document: dict[str, Any]) -> str:
@@ -43,8 +50,8 @@ def write(path: Path, pieces: Iterable[str]) -> None:
             file.write(piece.encode())
 
 
-def write_report(report: FilterReport, path: Path) -> None:
-    """Write what is reported of filters in the format that the suffix names, one of REPORT_SUFFIXES."""
+def write_report(report: Report, path: Path) -> None:
+    """Write what is reported in the format that the suffix names, one of REPORT_SUFFIXES."""
     import numpy as np
 
     from tolnet.model import replacing

@@ -14,7 +14,7 @@ from tolnet.cli.documents import render
 from tolnet.cli.options import AsJson, Quiet, check_outputs
 
 if TYPE_CHECKING:
-    from tolnet.model import SensorNetwork
+    from tolnet.model import CorruptedNetwork, SensorNetwork
 
 STDOUT = Path("-")
 
@@ -60,19 +60,20 @@ def _list(console: Console) -> None:
     console.suggest("tolnet example projectile -o projectile.toml")
 
 
-def _write(network: SensorNetwork, path: Path, console: Console) -> None:
+def _write(network: SensorNetwork | CorruptedNetwork, path: Path, console: Console) -> None:
     from tolnet import model
     from tolnet.design.export import opening
 
     written = [str(file) for file in model.save(network, path)]
-    saved = model.load(path)
+    saved = model.load_problem(path)
     console.document([render({**opening("tolnet.example/1", saved, "ok"), "written": written})])
     console.show(f"wrote {' and '.join(written)}: {saved.description or saved.name}")
     quoted = shlex.quote(str(path))
-    console.suggest(f"tolnet validate {quoted}", f"tolnet table {quoted}")
+    command = "observability" if isinstance(saved, model.CorruptedNetwork) else "table"
+    console.suggest(f"tolnet validate {quoted}", f"tolnet {command} {quoted}")
 
 
-def _print(network: SensorNetwork, console: Console) -> None:
+def _print(network: SensorNetwork | CorruptedNetwork, console: Console) -> None:
     """The problem file on standard output, where it is one file."""
     from tolnet import model
     from tolnet.design.export import opening
@@ -84,6 +85,6 @@ def _print(network: SensorNetwork, console: Console) -> None:
                 "is a file and an archive of arrays, too large to print: use -o FILE.toml", source=network.name
             )
         text = path.read_text(encoding="utf-8")
-        document = {**opening("tolnet.example/1", model.load(path), "ok"), "written": [], "toml": text}
+        document = {**opening("tolnet.example/1", model.load_problem(path), "ok"), "written": [], "toml": text}
     console.document([render(document)])
     console.text(text)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from scipy.sparse import csr_array
 
-    from tolnet.model import Convention, ToleranceTable
+    from tolnet.model import Convention, SensorNetwork, ToleranceTable
     from tolnet.report.filters import FilterReport
 
 NO_ANSWER = 4
@@ -49,31 +49,36 @@ def prepare_filters(
     outputs: list[Path],
     plot: Path | None,
     console: Console,
+    network: SensorNetwork | None = None,
 ) -> Setting:
-    """Check everything that was given, and solve the table.
+    """Check everything that was given, and solve the table; `network` is the problem where it was read already.
 
     Raises InputError or UnsupportedError for files that cannot be written, an unknown filter, an unknown rule or one
     that the graph refuses, or tau other than 0.
     """
-    from tolnet.design import diffusion_matrix
+    from tolnet.design.diffusion import check_rule, diffusion_matrix
     from tolnet.model import Complaint, InputError, UnsupportedError
 
     check_outputs(outputs, REPORT_SUFFIXES, inputs=[problem], plot=plot)
     names = _choose_filters(filters)
-    network = open_problem(problem, console)
+    network = network or open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     if ambiguity.tau != 0:
         raise UnsupportedError(
             f"the least favourable model is defined for tau = 0 only, and ambiguity.tau is {ambiguity.tau:g}"
         )
     try:
-        W = diffusion_matrix(network, diffusion)
+        rule = diffusion or network.diffusion
+        if isinstance(rule, str):
+            check_rule(network, rule)
     except InputError as error:
         raise InputError([Complaint("--diffusion", each.message) for each in error.complaints]) from None
     own = network.diffusion if isinstance(network.diffusion, str) else "weights"
     level = repeated(tolerance=tolerance, convention=convention)
     options = level + repeated(filters=filters, diffusion=diffusion)
-    return Setting(solve_table(network, ambiguity, console), W, diffusion or own, names, level, options)
+    table = solve_table(network, ambiguity, console)
+    W = diffusion_matrix(network, diffusion, table)
+    return Setting(table, W, diffusion or own, names, level, options)
 
 
 def _choose_filters(text: str | None) -> list[str] | None:
@@ -81,7 +86,7 @@ def _choose_filters(text: str | None) -> list[str] | None:
     from tolnet.model import InputError
     from tolnet.model.history import FILTERS
 
-    if text is None:
+    if text is None or text.strip().lower() == "all":
         return None
     words = [word.strip().upper() for word in text.split(",")]
     for word in words:

@@ -13,7 +13,7 @@ import typer
 from tolnet.cli.console import Console
 
 if TYPE_CHECKING:
-    from tolnet.model import Ambiguity, Convention, SensorNetwork
+    from tolnet.model import Ambiguity, Convention, CorruptedNetwork, SensorNetwork
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -47,7 +47,7 @@ Rule = Annotated[
     typer.Option(
         "--diffusion",
         metavar="RULE",
-        help="Weights: uniform, relative-degree, metropolis, laplacian or none; the problem's without.",
+        help="Weights by a rule: uniform, relative-degree, metropolis, ...; the problem's without.",
     ),
 ]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw it (.png, .svg, .pdf).")]
@@ -93,13 +93,53 @@ def _files_of(problem: Path) -> Iterable[Path]:
 
 
 def open_problem(name: str, console: Console) -> SensorNetwork:
-    """The problem in a file or, where there is no such file, the built-in problem of that name."""
+    """The problem in a file or, where there is no such file, the built-in problem of that name, with exact channels.
+
+    Says so where the file has corrupted channels, which are left out. Raises InputError for periodic matrices.
+    """
+    from tolnet import model
+
+    found = _find(name, console)
+    if not isinstance(found, model.CorruptedNetwork):
+        return found
+    if Path(name).exists():
+        console.note(f"note: this command answers for exact channels; what {name} says of corrupted ones is left out")
+        return model.load(name)
+    raise model.InputError("has corrupted channels; this command answers for exact ones", source=name)
+
+
+def open_corrupted(name: str, console: Console) -> CorruptedNetwork:
+    """The same for a problem with corrupted channels; one without any has exact ones."""
+    from tolnet import model
+
+    found = _find(name, console)
+    if isinstance(found, model.CorruptedNetwork):
+        return found
+    try:
+        return model.CorruptedNetwork.of(found)
+    except model.InputError as error:
+        raise type(error)(error.complaints, source=name) from None
+
+
+def open_any(name: str, console: Console) -> SensorNetwork | CorruptedNetwork:
+    """The problem as what it is: with corrupted channels where it says anything of them."""
+    return _find(name, console)
+
+
+def _find(name: str, console: Console) -> SensorNetwork | CorruptedNetwork:
+    import warnings
+
     from tolnet import model
 
     path = Path(name)
     if path.exists():
-        with console.progress(f"reading {name}"):
-            return model.SensorNetwork.from_mat(path) if path.suffix.lower() == ".mat" else model.load(path)
+        with console.progress(f"reading {name}"), warnings.catch_warnings(record=True) as loose:
+            warnings.simplefilter("always", model.LooseBoundWarning)
+            mat = path.suffix.lower() == ".mat"
+            found = model.SensorNetwork.from_mat(path) if mat else model.load_problem(path)
+        for warning in loose:
+            console.note(f"warning: {name}: {warning.message}")
+        return found
     if name in model.example_names():
         console.note(f"no file {name} here: taking the built-in problem {name}")
         return model.example(name)

@@ -11,7 +11,6 @@ from tolnet.cli.console import Console
 from tolnet.cli.filters import deliver, prepare_filters
 from tolnet.cli.options import (
     AsJson,
-    Filters,
     Outputs,
     Plot,
     Problem,
@@ -19,11 +18,16 @@ from tolnet.cli.options import (
     Rule,
     Tolerance,
     Unit,
+    open_any,
+    open_corrupted,
+    open_problem,
     repeated,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from tolnet.model import CorruptedNetwork, SensorNetwork
 
 
 def simulate(
@@ -34,20 +38,64 @@ def simulate(
     workers: Annotated[int, typer.Option(min=1, metavar="P", help="Processes; the numbers do not depend on it.")] = 1,
     tolerance: Tolerance = None,
     convention: Unit = None,
-    filters: Filters = None,
+    filters: Annotated[
+        str | None,
+        typer.Option(
+            "--filters",
+            metavar="A,B",
+            help="Some of KFC, RKFC, KFD, RKFDU, RKFDNU, RKFDNU2; over corrupted channels of DRKF, DRKF-SWF, CKF,"
+            " CKF-tau, CRKF, CSGF, DSEA-CP; all without.",
+        ),
+    ] = None,
     diffusion: Rule = None,
+    shared_path: Annotated[
+        bool, typer.Option("--shared-path", help="Corrupted channels: one path of noise on matrices for all runs.")
+    ] = False,
+    window: Annotated[
+        int | None, typer.Option(min=1, metavar="L", help="Corrupted channels: pairs that DRKF-SWF keeps.")
+    ] = None,
+    interval: Annotated[
+        int | None, typer.Option(min=1, metavar="D", help="Corrupted channels: DRKF-SWF optimises every D steps.")
+    ] = None,
     plot: Plot = None,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Monte Carlo of any filters, side by side, on trajectories of the least favourable model.
+    """Monte Carlo of any filters, side by side, on the same trajectories.
 
-    Every filter sees the same trajectories. -o takes .json, .csv (a row a step), .npz and .md. --plot draws errors
-    and consistency over time and node by node. Exit code 4: some filter has no answer, or diverged.
+    These are of the least favourable model or, where the problem has corrupted channels, of that network. -o takes
+    .json, .csv (a row a step), .npz and .md. --plot draws errors and consistency over time and node by node. Exit
+    code 4: some filter has no answer, or diverged.
     """
     console = Console(json=json, quiet=quiet)
     outputs = output or []
+    balls = {"tolerance": tolerance, "convention": convention, "diffusion": diffusion}
+    channels = {"shared-path": shared_path or None, "window": window, "interval": interval}
+    from tolnet.model import CorruptedNetwork
+
+    network = _open(problem, filters, console)
+    if isinstance(network, CorruptedNetwork):
+        from tolnet.cli.channels import simulate_channels
+
+        _refuse(balls, "is for problems without corrupted channels")
+        simulate_channels(
+            problem,
+            network,
+            filters=filters,
+            runs=runs,
+            steps=steps,
+            seed=seed,
+            workers=workers,
+            shared_path=shared_path,
+            window=window,
+            interval=interval,
+            plot=plot,
+            outputs=outputs,
+            console=console,
+        )
+        return
+    _refuse(channels, "is for problems with corrupted channels")
     at = prepare_filters(
         problem,
         tolerance=tolerance,
@@ -57,6 +105,7 @@ def simulate(
         outputs=outputs,
         plot=plot,
         console=console,
+        network=network,
     )
 
     from tolnet import analysis
@@ -86,3 +135,22 @@ def simulate(
             f"tolnet performance {shlex.quote(problem)}{at.options} --horizon {steps}",
         ],
     )
+
+
+def _open(problem: str, filters: str | None, console: Console) -> SensorNetwork | CorruptedNetwork:
+    """The problem as the filters that are named see it; as what it is, where they do not tell."""
+    named = {word.strip().upper() for word in (filters or "").split(",")}
+    if named & {"KFC", "RKFC", "KFD", "RKFDU", "RKFDNU", "RKFDNU2"}:
+        return open_problem(problem, console)
+    if named & {"DRKF", "DRKF-SWF", "CKF", "CKF-TAU", "CRKF", "CSGF", "DSEA-CP"}:
+        return open_corrupted(problem, console)
+    return open_any(problem, console)
+
+
+def _refuse(options: dict[str, object], why: str) -> None:
+    """Complain about options that mean nothing here."""
+    from tolnet.model import Complaint, InputError
+
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError([Complaint(f"--{name}", why) for name in given])

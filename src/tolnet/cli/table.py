@@ -121,9 +121,10 @@ def _check_limits(ambiguity: Ambiguity, *, uniform: bool, limits: bool) -> None:
 
 
 def _solve(network: SensorNetwork, ambiguity: Ambiguity, uniform: bool, console: Console) -> ToleranceTable:
-    from tolnet.design import diffusion_matrix
+    from tolnet.design.diffusion import check_rule
 
-    diffusion_matrix(network)  # a rule that this graph refuses is bad input: say so before computing
+    if isinstance(network.diffusion, str):  # a rule that this graph refuses is bad input: say so before computing
+        check_rule(network, network.diffusion)
     return solve_table(network, ambiguity, console, uniform=uniform)
 
 

@@ -39,6 +39,11 @@ class Complaints:
                 break
             self.add(key, message)
 
+    def extend(self, error: InputError) -> None:
+        """Note everything that an error carries."""
+        self.found.extend(error.complaints)
+        self.only_shapes &= isinstance(error, ShapeError)
+
     def error(self, source: str | None = None) -> InputError:
         """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
         return (ShapeError if self.only_shapes else InputError)(self.found, source=source)
@@ -125,6 +130,17 @@ def positive(matrix: ndarray, key: str, complaints: Complaints, *, definite: boo
             key,
             f"is not positive {word}: scaled to a unit diagonal, its smallest eigenvalue is {smallest:.3g}",
         )
+
+
+def covariance(value: Any, n: int | None, key: str, complaints: Complaints, *, definite: bool) -> ndarray | None:
+    """A symmetric positive (semi)definite n x n matrix."""
+    many = "n" if n is None else n
+    matrix = shaped(value, (n, n), key, f"{many} x {many}", complaints)
+    if matrix is None or matrix.shape[0] != matrix.shape[1]:
+        return None
+    if symmetric(matrix, key, complaints):
+        positive(matrix, key, complaints, definite=definite)
+    return matrix
 
 
 def cholesky_margin(p: int) -> float:

@@ -11,7 +11,15 @@ from scipy import sparse
 
 from tolnet.model._checks import Complaints, by, counted, frozen, holds_truth, nearest, shown, there_are
 
-DIFFUSION_RULES = ("relative-degree", "uniform", "metropolis", "laplacian", "none")
+DIFFUSION_RULES = (
+    "relative-degree",
+    "uniform",
+    "metropolis",
+    "laplacian",
+    "none",
+    "relative-variance",
+    "covariance-intersection",
+)
 """The names that `diffusion.rule` takes; the first is the default."""
 
 COLUMN_SUM_TOLERANCE = 1e-9

@@ -19,12 +19,13 @@ from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.errors import InputError
-from tolnet.model.graph import DIFFUSION_RULES, links_of, parse_adjacency, parse_diffusion, read_only
+from tolnet.model.graph import DIFFUSION_RULES, parse_adjacency, parse_diffusion
+from tolnet.model.nodes import Nodes, parse_nodes
 from tolnet.model.sensors import Packed
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SensorNetwork:
+class SensorNetwork(Nodes):
     """A plant x+ = A x + B w + r watched by N sensors y_k = C_k x + D_k v_k that talk over a graph, eq. (5).
 
     Assumes w and v_k independent, zero mean, unit covariance. Every array is copied once, checked once and
@@ -102,12 +103,13 @@ class SensorNetwork:
             A, B, dt = plant_matrices(A, B, Q, dt, complaints)
         values = _parse_plant(A, B, Q, input, initial_mean, initial_covariance, complaints)
         n = None if values["A"] is None else len(values["A"])
-        values |= _parse_sensors(C, R, D, rows, n, complaints)
+        values |= sensors.parse_sensors(C, R, D, rows, n, complaints)
         N = sensors.count(C, rows) if values["rows"] is None else len(values["rows"]) - 1
         if not isinstance(directed, bool | np.bool_):
             complaints.add("network.directed", f"is {checks.shown(directed)}; true or false was expected")
         if N:
-            values |= _parse_network(adjacency, edges, bool(directed), positions, names, diffusion, N, complaints)
+            values |= parse_nodes(adjacency, edges, bool(directed), positions, names, N, complaints)
+            values["diffusion"] = parse_diffusion(diffusion, values["adjacency"], N, complaints)
         values |= {
             "states": checks.labels(states, n, "plant.states", f"plant.A is {n} x {n}", complaints),
             "dt": None if dt is None else checks.number(dt, "plant.dt", "a positive number of seconds", complaints),
@@ -163,24 +165,26 @@ class SensorNetwork:
         object.__setattr__(changed, "digest", None)
         return changed
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Copies and unpickled networks are as read-only as the first."""
-        for value in state.values():
-            if isinstance(value, ndarray):
-                frozen(value)
-            elif sparse.issparse(value):
-                read_only(value)
-        self.__dict__.update(state)
+    def relinked(self, links: Int[ndarray, "E 2"]) -> SensorNetwork:
+        """The same network on other links [from, to], from no file; W of its own gives way to the default rule.
+
+        Raises InputError for links that are no links of these nodes.
+        """
+        complaints = Complaints()
+        directed, graph = parse_adjacency(None, links, self.directed, self.N, complaints)
+        complaints.raise_if_any()
+        other = copy.copy(self)
+        for name in ("degree", "_heard", "information"):
+            other.__dict__.pop(name, None)
+        rule = self.diffusion if isinstance(self.diffusion, str) else DIFFUSION_RULES[0]
+        for name, value in {"adjacency": graph, "directed": directed, "diffusion": rule, "digest": None}.items():
+            object.__setattr__(other, name, value)
+        return other
 
     @property
     def n(self) -> int:
         """Number of states."""
         return len(self.A)
-
-    @property
-    def N(self) -> int:
-        """Number of nodes."""
-        return len(self.rows) - 1
 
     @cached_property
     def sensors(self) -> Packed:
@@ -199,27 +203,6 @@ class SensorNetwork:
         k %= self.N
         return self.C[self.rows[k] : self.rows[k + 1]], self.sensors.block(k)
 
-    @property
-    def links(self) -> Int[ndarray, "E 2"]:
-        """The links [from, to] without self-loops, sorted; each undirected one once, its smaller node first."""
-        return links_of(self.adjacency, self.directed)
-
-    @cached_property
-    def degree(self) -> Int[ndarray, " N"]:
-        """n_k = |N_k|: how many nodes each node hears, itself included."""
-        return frozen(np.bincount(self.adjacency.indices, minlength=self.N))
-
-    def neighbours(self, k: int) -> Int[ndarray, " d"]:
-        """The nodes that node k hears, itself included, in rising order."""
-        heard = self._heard
-        return heard.indices[heard.indptr[k] : heard.indptr[k + 1]].astype(np.int64)
-
-    @cached_property
-    def _heard(self) -> sparse.csr_array:
-        heard = self.adjacency.T.tocsr()
-        heard.sort_indices()
-        return heard
-
     @cached_property
     def own_information(self) -> Float[ndarray, "N n n"]:
         """C_k' R_k^-1 C_k of each node alone; zero for a relay. Raises InputError where it overflows."""
@@ -235,10 +218,6 @@ class SensorNetwork:
     def total_information(self) -> Float[ndarray, "n n"]:
         """S_tot = sum over all nodes, eq. (6)."""
         return frozen(self.own_information.sum(axis=0))
-
-    def label(self, k: int) -> str:
-        """A node as people call it: its name where it has one, else its index."""
-        return self.names[k] if self.names else str(k)
 
     def __repr__(self) -> str:
         kind = "directed links" if self.directed else "links"
@@ -262,7 +241,7 @@ def _parse_plant(
     if B is not None:
         B = checks.shaped(B, (n, None), "plant.B", f"{many} x m", complaints)
     if Q is not None:
-        Q = _covariance(Q, n, "plant.Q", complaints, definite=False)
+        Q = checks.covariance(Q, n, "plant.Q", complaints, definite=False)
     elif B is not None:
         Q = sensors.gramian(B)
         if not np.isfinite(Q).all():
@@ -272,7 +251,7 @@ def _parse_plant(
     if mean is not None:
         mean = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {many}", complaints)
     if covariance is not None:
-        covariance = _covariance(covariance, n, "plant.initial_covariance", complaints, definite=True)
+        covariance = checks.covariance(covariance, n, "plant.initial_covariance", complaints, definite=True)
     return {
         "A": A,
         "B": B,
@@ -280,55 +259,4 @@ def _parse_plant(
         "input": input,
         "initial_mean": np.zeros(n or 0) if mean is None else mean,
         "initial_covariance": np.eye(n or 0) if covariance is None else covariance,
-    }
-
-
-def _covariance(value: Any, n: int | None, key: str, complaints: Complaints, *, definite: bool) -> ndarray | None:
-    """A symmetric positive (semi)definite n x n matrix."""
-    many = "n" if n is None else n
-    matrix = checks.shaped(value, (n, n), key, f"{many} x {many}", complaints)
-    if matrix is None or matrix.shape[0] != matrix.shape[1]:
-        return None
-    if checks.symmetric(matrix, key, complaints):
-        checks.positive(matrix, key, complaints, definite=definite)
-    return matrix
-
-
-def _parse_sensors(C: Any, R: Any, D: Any, rows: Any, n: int | None, complaints: Complaints) -> dict[str, Any]:
-    packed = sensors.pack_observations(C, rows, n, complaints)
-    if packed is None:
-        return dict.fromkeys(("C", "R", "D", "rows"))
-    C, rows, unknown = packed
-    R, D = sensors.pack_noise(R, D, C, rows, unknown, complaints)
-    return {"C": C, "R": R, "D": D, "rows": rows}
-
-
-def _parse_network(
-    adjacency: Any,
-    edges: Any,
-    directed: bool,
-    positions: Any,
-    names: Any,
-    diffusion: Any,
-    N: int,
-    complaints: Complaints,
-) -> dict[str, Any]:
-    """The graph and what hangs on its nodes; a networkx graph brings positions and names where none are given."""
-    if hasattr(adjacency, "is_directed"):
-        from tolnet.model.convert import names_of_graph, positions_of_graph
-
-        positions = positions_of_graph(adjacency) if positions is None else positions
-        names = names_of_graph(adjacency) if names is None else names
-    directed, graph = parse_adjacency(adjacency, edges, directed, N, complaints)
-    if positions is not None:
-        meant = f"{N} x 2 (or x 3), a point for each node,"
-        positions = checks.shaped(positions, (N, None), "network.positions", meant, complaints)
-        if positions is not None and positions.shape[1] not in (2, 3):
-            complaints.add("network.positions", f"is {checks.by(positions.shape)}; {meant} was expected", shape=True)
-    return {
-        "directed": directed,
-        "adjacency": graph,
-        "positions": positions,
-        "names": checks.labels(names, N, "network.names", checks.there_are(N, "node"), complaints),
-        "diffusion": parse_diffusion(diffusion, graph, N, complaints),
     }

@@ -14,7 +14,9 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from tolnet.model._checks import nearest, shown
 from tolnet.model.ambiguity import Convention
+from tolnet.model.channels import ChannelNoise, Fading, Noise
 from tolnet.model.errors import Complaint
+from tolnet.model.fusion import FUSION_RULES
 from tolnet.model.graph import DIFFUSION_RULES
 
 SCHEMA = "tolnet.problem/1"
@@ -43,11 +45,57 @@ def _kind(value: Any) -> str:
     return "*list*"
 
 
+def _kind_over_time(value: Any) -> str:
+    """The same for what may be periodic: numbers and matrices, or lists of them, one an instant."""
+    if isinstance(value, int | float):
+        return "*number*"
+    if isinstance(value, list) and value and not isinstance(value[0], list):
+        return "*numbers*"
+    periodic = isinstance(value, list) and value and value[0] and isinstance(value[0][0], list)
+    return "*periods*" if periodic else _kind(value)
+
+
+def _kind_of_matrix(value: Any) -> str:
+    kind = _kind_over_time(value)
+    return kind if kind in ("*periods*", "*array*") else "*list*"
+
+
+def _kind_of_number(value: Any) -> str:
+    return "*numbers*" if isinstance(value, list) else "*array*" if isinstance(value, dict) else "*number*"
+
+
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Index = Annotated[int, Field(strict=True, ge=0, le=2**53)]
 _Reference = Annotated[ArrayReference, Tag("*array*")]
 Vector = Annotated[Annotated[list[Number], Tag("*list*")] | _Reference, Discriminator(_kind)]
 Matrix = Annotated[Annotated[list[list[Number]], Tag("*list*")] | _Reference, Discriminator(_kind)]
+_Matrices = Annotated[
+    list[Annotated[list[Annotated[list[Number], Field(min_length=1)]], Field(min_length=1)]],
+    Field(min_length=1),
+    Tag("*periods*"),
+]
+PeriodicMatrix = Annotated[
+    Annotated[list[list[Number]], Tag("*list*")] | _Matrices | _Reference, Discriminator(_kind_of_matrix)
+]
+"""A matrix, or a list of one period of it."""
+_Mean = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
+_Size = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+_Sizes = Annotated[list[_Size], Field(min_length=1), Tag("*numbers*")]
+PeriodicMean = Annotated[
+    Annotated[_Mean, Tag("*number*")] | Annotated[list[_Mean], Field(min_length=1), Tag("*numbers*")] | _Reference,
+    Discriminator(_kind_of_number),
+]
+PeriodicVariance = Annotated[Annotated[_Size, Tag("*number*")] | _Sizes | _Reference, Discriminator(_kind_of_number)]
+Bound = Annotated[
+    Annotated[_Size, Tag("*number*")]
+    | _Sizes
+    | Annotated[list[list[Number]], Tag("*list*")]
+    | _Matrices
+    | _Reference,
+    Discriminator(_kind_over_time),
+]
+"""A covariance: a number s, which means s I, or a matrix; or a list of one period of it."""
+Count = Annotated[int, Field(strict=True, ge=1, le=2**53)]
 Labels = Annotated[Annotated[list[str], Tag("*list*")] | _Reference, Discriminator(_kind)]
 Weights = Annotated[
     Annotated[list[list[Number]], Tag("*list*")] | _Reference | Annotated[TripleReference, Tag("*triples*")],
@@ -73,12 +121,19 @@ class Plant(_Table):
 
     model_config = ConfigDict(json_schema_extra=_one_of("B", "Q"))
 
-    A: Matrix = Field(description="state matrix, n x n")
-    B: Matrix | None = Field(None, description="factor of the process noise, n x m; exactly one of B and Q")
-    Q: Matrix | None = Field(None, description="covariance of the process noise, n x n, Q = B B'")
+    A: PeriodicMatrix = Field(description="state matrix, n x n")
+    B: PeriodicMatrix | None = Field(None, description="factor of the process noise, n x m; exactly one of B and Q")
+    Q: PeriodicMatrix | None = Field(None, description="covariance of the process noise, n x n, Q = B B'")
     input: Vector | None = Field(None, description="known constant input r, n numbers")
     initial_mean: Vector | None = Field(None, description="mean of the first state, n numbers; 0 if left out")
     initial_covariance: Matrix | None = Field(None, description="its covariance, n x n; I if left out")
+    F: PeriodicMatrix | None = Field(None, description="matrix of the multiplicative noise, n x n; 0 if left out")
+    multiplicative_variance: PeriodicVariance | None = Field(
+        None, description="bound mu on the variance of the multiplicative noise; 0 if left out"
+    )
+    initial_second_moment: Matrix | None = Field(
+        None, description="bound on E x0 x0', n x n; that of the initial mean and covariance if left out"
+    )
     states: list[str] | None = Field(None, description="labels of the states, n texts")
     dt: Number | None = Field(None, gt=0, description="sampling time in seconds; nothing is computed from it")
 
@@ -111,9 +166,19 @@ class Sensor(_Table):
         }
     )
 
-    C: Matrix = Field(description="observation matrix, p x n; [] for a relay without a sensor")
-    R: Matrix | None = Field(None, description="covariance of the measurement noise, p x p; exactly one of R and D")
-    D: Matrix | None = Field(None, description="factor of the measurement noise, p x p, R = D D'")
+    C: PeriodicMatrix = Field(description="observation matrix, p x n; [] for a relay without a sensor")
+    R: PeriodicMatrix | None = Field(
+        None, description="covariance of the measurement noise, p x p; exactly one of R and D"
+    )
+    D: PeriodicMatrix | None = Field(None, description="factor of the measurement noise, p x p, R = D D'")
+    fading_mean: PeriodicMean | None = Field(None, description="mean tau of the fading factor; 1 if left out")
+    fading_variance: PeriodicVariance | None = Field(
+        None, description="bound phi on the variance of the fading factor; 0 if left out"
+    )
+    interval: Count | None = Field(None, description="how often this node may solve the fusion problem")
+    initial_covariance: Matrix | None = Field(
+        None, description="covariance of this node's first estimate, n x n; the plant's if left out"
+    )
 
 
 class AmbiguityTable(_Table):
@@ -137,6 +202,61 @@ class Diffusion(_Table):
     )
 
 
+class Link(_Table):
+    """A link whose channel differs from the others."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"anyOf": [{"required": ["estimate_noise"]}, {"required": ["matrix_noise"]}]}
+    )
+
+    from_: Index = Field(alias="from", description="the node that sends")
+    to: Index = Field(description="the node that receives")
+    estimate_noise: Bound | None = Field(None, description="bound on the covariance of the noise on estimates")
+    matrix_noise: Bound | None = Field(None, description="two-sided bound on the noise on matrices")
+
+
+class Channel(_Table):
+    """How much the links corrupt what nodes send."""
+
+    estimate_noise: Bound | None = Field(
+        None, description="bound on the covariance of the noise on a sent estimate; s means s I; 0 if left out"
+    )
+    matrix_noise: Bound | None = Field(
+        None, description="bound D on the noise on a sent matrix, -D <= noise <= D; d means d I; 0 if left out"
+    )
+    links: list[Link] | None = Field(None, description="exceptions")
+
+
+class Fusion(_Table):
+    """How a node weighs the pairs that it receives."""
+
+    model_config = ConfigDict(json_schema_extra=_at_most_one_of("rule", "weights"))
+
+    rule: str | None = Field(
+        None, description="rule that gives the weights", json_schema_extra={"enum": list(FUSION_RULES)}
+    )
+    weights: Weights | None = Field(
+        None, description="a_ij, N x N: [i][j] weighs neighbour j at node i, rows sum to 1"
+    )
+    window: Count | None = Field(None, description="pairs kept of each neighbour, the current one included; 1")
+    interval: Count | None = Field(None, description="how often a node may solve the fusion problem; 1")
+
+
+class SimulatedChannel(_Table):
+    """The noise that is drawn on the channels."""
+
+    kind: ChannelNoise | None = Field(None, description="law of the noise; uniform if left out")
+    half_width: _Size | None = Field(None, description="its half width; the largest within the bounds if left out")
+
+
+class Simulation(_Table):
+    """What really happens in a simulation; the bounds above are what the filters know."""
+
+    fading: Fading | None = Field(None, description="law of the fading factors; uniform if left out")
+    channel: SimulatedChannel | None = Field(None, description="law of the noise on the channels")
+    noise: Noise | None = Field(None, description="law of the process and measurement noise; gaussian")
+
+
 class Problem(_Table):
     """A plant, the sensors that watch it, and the graph over which they talk."""
 
@@ -153,6 +273,9 @@ class Problem(_Table):
     sensors: list[Sensor] | None = Field(None, description="one table [[sensors]] a node, in node order")
     ambiguity: AmbiguityTable | None = Field(None, description="the table [ambiguity]")
     diffusion: Diffusion | None = Field(None, description="the table [diffusion]; relative-degree if left out")
+    channel: Channel | None = Field(None, description="the table [channel]; exact channels if left out")
+    fusion: Fusion | None = Field(None, description="the table [fusion]; uniform weights if left out")
+    simulation: Simulation | None = Field(None, description="the table [simulation]")
 
 
 _TABLES: dict[str, type[_Table]] = {
@@ -161,6 +284,9 @@ _TABLES: dict[str, type[_Table]] = {
     "sensors": Sensor,
     "ambiguity": AmbiguityTable,
     "diffusion": Diffusion,
+    "channel": Channel,
+    "fusion": Fusion,
+    "simulation": Simulation,
 }
 _FORMS = {
     "float_type": "a number",
@@ -244,6 +370,8 @@ def _message(place: tuple[Any, ...], error: Any) -> str:
         return "is missing" + (f": {meant}" if meant else "")
     if kind == "literal_error":
         return f"is {shown(value)}; {bounds['expected']} was expected"
+    if kind == "too_short" and bounds["min_length"] == 1:
+        return "is empty"
     if kind in _BOUNDS:
         sign, name = _BOUNDS[kind]
         return f"is {shown(value)}; a number {sign} {bounds[name]:.16g} was expected"

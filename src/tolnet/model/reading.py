@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from numpy import ndarray
 
@@ -21,7 +21,13 @@ from tolnet.model.sensors import count
 PACKED = ("C", "R", "D", "rows", "edges")
 """Arrays of a side archive that stand, without a reference, for the `[[sensors]]` tables and the list of links."""
 
-_ORDER = ("schema", "name", "description", "arrays", "plant", "network", "sensors", "ambiguity", "diffusion")
+PACKED_CHANNELS = ("fading_mean", "fading_variance", "interval", "P0")
+"""The same for the keys of corrupted channels in those tables; P0 (N, n, n) stands for `initial_covariance`."""
+
+_TABLES = ("plant", "network", "sensors", "ambiguity", "diffusion", "channel", "fusion", "simulation")
+_ORDER = ("schema", "name", "description", "arrays", *_TABLES)
+
+Built = TypeVar("Built")
 
 
 def load(path: str | Path) -> SensorNetwork:
@@ -36,16 +42,7 @@ def load(path: str | Path) -> SensorNetwork:
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(unreadable(error), source=source) from None
-    return _Reader(_mapping(data, source), Path(path).parent, data, source).network()
-
-
-def validate(path: str | Path) -> list[Complaint]:
-    """Every complaint about a problem file; none where `load` succeeds."""
-    try:
-        load(path)
-    except InputError as error:
-        return list(error.complaints)
-    return []
+    return Reader(mapping_of(data, source), Path(path).parent, data, source).network()
 
 
 def parse(mapping: Mapping[str, Any], folder: str | Path = ".") -> SensorNetwork:
@@ -53,15 +50,16 @@ def parse(mapping: Mapping[str, Any], folder: str | Path = ".") -> SensorNetwork
 
     Raises InputError with every complaint. `digest` is None: there were no bytes of a file.
     """
-    return _Reader(mapping, Path(folder)).network()
+    return Reader(mapping, Path(folder)).network()
 
 
 def parse_text(data: bytes, source: str) -> SensorNetwork:
     """`load` for a problem file whose bytes are at hand and that refers to no other file."""
-    return _Reader(_mapping(data, source), Path(), data, source).network()
+    return Reader(mapping_of(data, source), Path(), data, source).network()
 
 
-def _mapping(data: bytes, source: str) -> dict[str, Any]:
+def mapping_of(data: bytes, source: str) -> dict[str, Any]:
+    """The content of a problem file. Raises InputError, naming the `source`, for what is no TOML."""
     if not data.strip():
         raise InputError("is empty; a problem file was expected", source=source)
     try:
@@ -75,7 +73,7 @@ def _mapping(data: bytes, source: str) -> dict[str, Any]:
         raise InputError(f"is not TOML: {error}", source=source) from None
 
 
-class _Reader:
+class Reader:
     """One problem file on its way to a network.
 
     Form (keys and types) is judged by the pydantic models. What has the right form, and what has not, goes on to
@@ -94,7 +92,8 @@ class _Reader:
         for key, complaint in complaints_about_form(self.content):
             self.blame(key, complaint.message, at=complaint.key)
         self.archive: dict[str, ndarray] = {}
-        self.used: set[str] = set()
+        self.opened = False
+        self.used: set[str] = set(PACKED_CHANNELS)
 
     def blame(self, key: str, message: str, at: str | None = None) -> None:
         """Complain about a key, once; `at` points into its value."""
@@ -103,18 +102,26 @@ class _Reader:
 
     def network(self) -> SensorNetwork:
         """Build the network, or raise with everything that is wrong."""
-        self.open_archive()
+        return self.build(SensorNetwork, self.arguments)
+
+    def arguments(self) -> dict[str, Any]:
+        """What the constructor takes."""
         arguments = self.plant() | self.sensors()
         N = count(arguments["C"], arguments.get("rows"))
-        arguments |= self.graph(N) | self.diffusion(N) | self.texts() | {"ambiguity": self.ambiguity()}
-        for name in sorted(set(self.archive) - self.used):
+        return arguments | self.graph(N) | self.diffusion(N) | self.texts() | {"ambiguity": self.ambiguity()}
+
+    def build(self, kind: Callable[..., Built], gather: Callable[[], dict[str, Any]]) -> Built:
+        """A network of that kind from the arguments gathered, or all complaints."""
+        self.open_archive()
+        arguments = gather()
+        for name in sorted(set(self.archive) - self.used - set(_references(self.content))):
             self.blame(
                 "arrays",
                 f"holds {name!r}, which nothing refers to; the nearest of the names read without"
                 f" a reference is {nearest(name, PACKED)!r}",
             )
         try:
-            network = SensorNetwork(**arguments, digest=self.hash.hexdigest() if self.hash else None)
+            network = kind(**arguments, digest=self.hash.hexdigest() if self.hash else None)
         except InputError as error:
             new = [complaint for complaint in error.complaints if not self.told(complaint.key)]
             self.complaints.found.extend(new)
@@ -143,8 +150,9 @@ class _Reader:
     def open_archive(self) -> None:
         """Read the side archive. Without it nothing else can be judged, so a bad one ends the reading."""
         name = self.content.get("arrays")
-        if not isinstance(name, str):
+        if self.opened or not isinstance(name, str):
             return
+        self.opened = True
         data = self.side_file("arrays", name)
         if data is not None:
             try:
@@ -193,11 +201,17 @@ class _Reader:
         dt = self.plain("plant", "dt")
         return values | {"states": self.plain("plant", "states"), "dt": None if dt is None else float(dt)}
 
+    def sensor_tables(self) -> list[dict[str, Any]] | None:
+        """The tables [[sensors]], if the file has them; what is no table is an empty one."""
+        tables = self.content.get("sensors")
+        if not isinstance(tables, list):
+            return None
+        return [table if isinstance(table, dict) else {} for table in tables]
+
     def sensors(self) -> dict[str, Any]:
         """C, R and D from the tables, one a node, or else packed in the archive."""
-        tables = self.content.get("sensors")
-        if isinstance(tables, list):
-            tables = [table if isinstance(table, dict) else {} for table in tables]
+        tables = self.sensor_tables()
+        if tables is not None:
             return {
                 letter: [self.resolved(table.get(letter), f"sensors[{k}].{letter}") for k, table in enumerate(tables)]
                 for letter in ("C", "R", "D")
@@ -260,12 +274,16 @@ class _Reader:
             return {"diffusion": self.plain("diffusion", "rule", DIFFUSION_RULES[0])}
         if "rule" in table:
             self.blame("diffusion", "has both rule and weights; exactly one was expected")
-        weights = self.resolved(table["weights"], key)
-        if isinstance(weights, ndarray) and "triples" in table["weights"]:
+        return {"diffusion": self.weights(table["weights"], N, key)}
+
+    def weights(self, value: Any, N: int | None, key: str) -> Any:
+        """A matrix of weights, from the text or the archive; None where its triples are no such thing."""
+        weights = self.resolved(value, key)
+        if isinstance(weights, ndarray) and "triples" in value:
             weights = None if N is None else weights_of_triples(weights, N, key, self.complaints)
             if weights is None:
                 self.blamed.add(key)
-        return {"diffusion": weights}
+        return weights
 
     def texts(self) -> dict[str, Any]:
         """Name and description."""
@@ -283,6 +301,20 @@ class _Reader:
             for complaint in error.complaints:
                 self.blame(complaint.key, complaint.message)
             return None
+
+
+def _references(content: Any) -> Iterator[str]:
+    """The names of all arrays that a file refers to, whether or not the network that is read needs them."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if key in ("array", "triples") and isinstance(value, str):
+                yield value
+            else:
+                yield from _references(value)
+    elif isinstance(content, list):
+        for value in content:
+            if isinstance(value, dict):
+                yield from _references(value)
 
 
 def _place(complaint: Complaint) -> int:

@@ -62,6 +62,16 @@ def count(C: Any, rows: Any) -> int | None:
     return len(C) if by_node(C) or (isinstance(C, ndarray) and C.ndim == 3) else None
 
 
+def parse_sensors(C: Any, R: Any, D: Any, rows: Any, n: int | None, complaints: Complaints) -> dict[str, Any]:
+    """C, R, D and the offsets, packed and checked; all None where C could not be packed."""
+    packed = pack_observations(C, rows, n, complaints)
+    if packed is None:
+        return dict.fromkeys(("C", "R", "D", "rows"))
+    C, rows, unknown = packed
+    R, D = pack_noise(R, D, C, rows, unknown, complaints)
+    return {"C": C, "R": R, "D": D, "rows": rows}
+
+
 def pack_observations(
     C: Any, rows: Any, n: int | None, complaints: Complaints
 ) -> tuple[ndarray, ndarray, set[int]] | None:

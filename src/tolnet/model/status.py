@@ -26,3 +26,10 @@ class Status(StrEnum):
     """The error dynamics are not Schur: errors grow without bound."""
     NOT_CONVERGED = "not-converged"
     """An iteration ended without an answer that deserves six digits."""
+    SINGULAR = "singular"
+    """A matrix that had to be positive definite is not."""
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether a performance of this status has numbers."""
+        return self in (Status.OK, Status.OSCILLATES)

@@ -10,10 +10,14 @@ import numpy as np
 import tomli_w
 from numpy import ndarray
 
+from tolnet.model import writing_corrupted as corrupted
 from tolnet.model.archive import archive_bytes
+from tolnet.model.corrupted import CorruptedNetwork
 from tolnet.model.errors import Complaint, InputError
 from tolnet.model.network import SensorNetwork
 from tolnet.model.whole_files import check_writable, replacing
+
+Either = SensorNetwork | CorruptedNetwork
 
 LARGEST_TEXT = 10_000
 """How many numbers a network may have before `save` puts its arrays into an archive of its own accord."""
@@ -22,14 +26,18 @@ LARGEST_INLINE = 400
 """How many numbers a matrix of the plant, or how many names, stay in the text beside an archive."""
 
 
-def save(network: SensorNetwork, path: str | Path, arrays: bool | Literal["auto"] = "auto") -> list[Path]:
+def save(network: Either, path: str | Path, arrays: bool | Literal["auto"] = "auto") -> list[Path]:
     """Write a network as a problem file, from which `load` gives it back without the change of a bit.
+
+    A CorruptedNetwork is given back by `load_corrupted`; functions of k are refused.
 
     `arrays` True puts large matrices, sensors and links into an archive beside the file (`problem.npz` beside
     `problem.toml`); False keeps everything in the text; "auto" decides by size. Returns the paths written.
     Each file is written beside its target and renamed into place, the archive first.
     Raises InputError for a path that cannot be written.
     """
+    if isinstance(network, CorruptedNetwork):
+        corrupted.check_periodic(network)
     path = Path(path)
     side = path.with_suffix(".npz")
     if side == path:
@@ -48,9 +56,12 @@ def save(network: SensorNetwork, path: str | Path, arrays: bool | Literal["auto"
     return [path] if archive is None else [path, side]
 
 
-def _numbers(network: SensorNetwork) -> int:
-    weights = 0 if isinstance(network.diffusion, str) else network.N**2
+def _numbers(network: Either) -> int:
     links = 2 * len(network.links)
+    if isinstance(network, CorruptedNetwork):
+        varying = (network.A, network.F, network.Q, network.C, network.R, network.tau)
+        return sum(part.one_period.size for part in varying) + links
+    weights = 0 if isinstance(network.diffusion, str) else network.N**2
     return network.A.size + network.Q.size + network.C.size + network.R.size + links + weights
 
 
@@ -63,7 +74,7 @@ def _toml(content: dict[str, Any]) -> str:
     return numbers.sub(lambda found: "[" + " ".join(found[1].split()) + "]", tomli_w.dumps(content))
 
 
-def _content(network: SensorNetwork, side: str, archive: dict[str, ndarray] | None) -> dict[str, Any]:
+def _content(network: Either, side: str, archive: dict[str, ndarray] | None) -> dict[str, Any]:
     """The tables of the file; arrays that do not belong into them are put into `archive`, where there is one."""
 
     def kept(name: str, value: ndarray) -> Any:
@@ -77,12 +88,16 @@ def _content(network: SensorNetwork, side: str, archive: dict[str, ndarray] | No
         content["description"] = network.description
     if archive is not None:
         content["arrays"] = side
-    content["plant"] = _plant(network, kept)
+    other = isinstance(network, CorruptedNetwork)
+    content["plant"] = (corrupted.plant_table(network, kept) if other else _plant(network, kept)) | _labels(network)
     content["network"] = _graph(network, kept, archive)
-    if archive is None or _mixed(network):
-        content["sensors"] = [_sensor(network, k) for k in range(network.N)]
+    if archive is None or (not other and _mixed(network)):
+        sensors = [_sensor(network, k) for k in range(network.N)] if not other else corrupted.sensor_tables(network)
+        content["sensors"] = sensors
     else:
-        archive |= _packed(network)
+        archive |= corrupted.packed_sensors(network) if other else _packed(network)
+    if other:
+        return content | corrupted.channel_tables(network, archive)
     if network.ambiguity is not None:
         ambiguity = network.ambiguity
         content["ambiguity"] = {
@@ -103,14 +118,15 @@ def _plant(network: SensorNetwork, kept: Any) -> dict[str, Any]:
         value: ndarray = getattr(network, key)
         if value.tobytes() != default.tobytes():
             plant[key] = kept(key, value)
-    if network.states is not None:
-        plant["states"] = list(network.states)
-    if network.dt is not None:
-        plant["dt"] = network.dt
     return plant
 
 
-def _graph(network: SensorNetwork, kept: Any, archive: dict[str, ndarray] | None) -> dict[str, Any]:
+def _labels(network: Either) -> dict[str, Any]:
+    labels = {} if network.states is None else {"states": list(network.states)}
+    return labels if network.dt is None else {**labels, "dt": network.dt}
+
+
+def _graph(network: Either, kept: Any, archive: dict[str, ndarray] | None) -> dict[str, Any]:
     graph: dict[str, Any] = {"nodes": network.N, "directed": network.directed}
     if archive is None:
         graph["edges"] = network.links.tolist()

@@ -61,12 +61,12 @@ def performance_figure(
             if history.kind.ball != "none":
                 _band(tolerance, name, history.tolerance / gamma_per(table.convention))
                 _band(theta, name, history.theta)
-        _dress(msd, "mean over the nodes (dotted: steady state)", "step t", "MSD [dB]")
-        _dress(tolerance, "tolerances: mean and range over the nodes", "step t", f"$c_{{k,t}}$ ({table.convention})")
-        _dress(theta, "risk sensitivities: mean and range over the nodes", "step t", r"$\theta_{k,t}$")
+        dress(msd, "mean over the nodes (dotted: steady state)", "step t", "MSD [dB]")
+        dress(tolerance, "tolerances: mean and range over the nodes", "step t", f"$c_{{k,t}}$ ({table.convention})")
+        dress(theta, "risk sensitivities: mean and range over the nodes", "step t", r"$\theta_{k,t}$")
         _scale(theta)
     _nodes(node, table, nodes)
-    _dress(node, "node by node, in the steady state (dashed: centralised)", _across(table), "MSD$_k$ [dB]")
+    dress(node, "node by node, in the steady state (dashed: centralised)", _across(table), "MSD$_k$ [dB]")
     status = {name: found.status for name, found in steady.items()}
     _finish(figure, table, "mean square deviation under the least favourable model", status)
     return figure
@@ -93,10 +93,10 @@ def simulation_figure(table: ToleranceTable, found: Mapping[str, Simulation]) ->
     for axes, level in ((ratio, 1.0), (consistency, 95.0)):
         axes.axhline(level, color=INK, linewidth=1.0, linestyle="--", zorder=1)
     _nodes(node, table, {name: each.node_mse[-1] for name, each in found.items()})
-    _dress(mse, "mean over the nodes (dotted: predicted)", "step t", "MSE [dB]")
-    _dress(ratio, "measured over predicted, with 95 % intervals", "step t", "MSE / MSD")
-    _dress(node, "node by node, after the last step (dashed: centralised)", _across(table), "MSE$_k$ [dB]")
-    _dress(consistency, "errors within the 95 % ellipsoid of the filter's own V", "step t", "% of runs and nodes")
+    dress(mse, "mean over the nodes (dotted: predicted)", "step t", "MSE [dB]")
+    dress(ratio, "measured over predicted, with 95 % intervals", "step t", "MSE / MSD")
+    dress(node, "node by node, after the last step (dashed: centralised)", _across(table), "MSE$_k$ [dB]")
+    dress(consistency, "errors within the 95 % ellipsoid of the filter's own V", "step t", "% of runs and nodes")
     one = next(iter(found.values()))
     status = {name: standing(each)[0] for name, each in found.items()}
     _finish(figure, table, f"{one.runs:,} runs under the least favourable model, seed {one.seed}", status)
@@ -136,7 +136,7 @@ def _decibels(values: ndarray) -> ndarray:
     return np.asarray(10 * np.log10(np.where(values > 0, values, np.nan)))
 
 
-def _dress(axes: Axes, title: str, x: str, y: str) -> None:
+def dress(axes: Axes, title: str, x: str, y: str) -> None:
     """Titles, and lines that stay behind the data."""
     axes.set_title(title, color=INK, fontsize=11, loc="left")
     axes.set_xlabel(x, color=INK)

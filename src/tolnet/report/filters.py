@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from tolnet.design.export import csv_lines, flat, markdown_table, opening
-from tolnet.model import Ambiguity, SensorNetwork, Status, ToleranceTable
+from tolnet.model import Ambiguity, CorruptedNetwork, SensorNetwork, Status, ToleranceTable
 from tolnet.report.table import empty_table
 
 if TYPE_CHECKING:
@@ -21,14 +21,15 @@ _WORDS = ("filter", "messages from the centre", "status")
 
 @dataclass(frozen=True, eq=False)
 class FilterReport:
-    """What was found about some filters at the tolerance of one table, ready to be told.
+    """What was found about some filters, at the tolerance of one table where there is one, ready to be told.
 
     NaN stands for a value that does not exist, None for words that do not; tolerances are in the table's convention.
     """
 
     schema: str
     title: str
-    table: ToleranceTable
+    table: ToleranceTable | CorruptedNetwork
+    """What the filters were compared at; corrupted channels have no tolerances."""
     about: Mapping[str, Any]
     """Keys of the document beside those that open every document: `diffusion` and so on."""
     filters: Mapping[str, Mapping[str, Any]]
@@ -102,6 +103,8 @@ class FilterReport:
 
     def _heading(self) -> dict[str, Any]:
         table = self.table
+        if isinstance(table, CorruptedNetwork):
+            return {**opening(self.schema, table, self.status), **self.about}
         ambiguity = Ambiguity(table.tolerance, table.convention, table.tau)
         return {**opening(self.schema, table.network, self.status, ambiguity), **self.about}
 
@@ -116,6 +119,8 @@ def per_node(network: SensorNetwork, values: Mapping[str, ndarray]) -> dict[str,
 def headline(report: FilterReport) -> str:
     """The network, its tolerance and its weights in one line."""
     table = report.table
+    if isinstance(table, CorruptedNetwork):
+        return f"{table.name or 'unnamed problem'}: {table.N:,} nodes over corrupted channels"
     nodes = f"{table.network.N:,} node{'' if table.network.N == 1 else 's'}"
     return (
         f"{table.network.name or 'unnamed problem'}: {nodes}, c = {table.tolerance:.6g} ({table.convention}),"

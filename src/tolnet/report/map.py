@@ -34,7 +34,7 @@ def tolerance_map(table: ToleranceTable, *, seed: int = 0) -> Figure:
     from matplotlib.figure import Figure
 
     network = table.network
-    xy = _positions(network, seed)
+    xy = node_positions(network, seed)
     figure = Figure(figsize=(8.4, 6.6), dpi=150, layout="constrained", facecolor="white")
     axes = figure.add_subplot()
     axes.set_axis_off()
@@ -42,7 +42,7 @@ def tolerance_map(table: ToleranceTable, *, seed: int = 0) -> Figure:
     _draw_links(axes, network, xy)
     _draw_nodes(figure, axes, table, xy)
     if network.N <= NAMES_UP_TO:
-        _draw_names(axes, network, xy)
+        draw_names(axes, network, xy)
     axes.margins(0.06)
     name = (network.name or "sensor network").replace("$", r"\$")
     c = f"c = {table.tolerance:g} ({table.convention})"
@@ -114,7 +114,7 @@ def _areas(network: SensorNetwork) -> Float[ndarray, " N"]:
     return room * (0.3 + 0.7 * relative)
 
 
-def _draw_names(axes: Axes, network: SensorNetwork, xy: Float[ndarray, "N 2"]) -> None:
+def draw_names(axes: Axes, network: SensorNetwork, xy: Float[ndarray, "N 2"]) -> None:
     """Names above the nodes; mere numbers inside them."""
     from matplotlib import patheffects
 
@@ -137,7 +137,7 @@ def _draw_names(axes: Axes, network: SensorNetwork, xy: Float[ndarray, "N 2"]) -
         )
 
 
-def _positions(network: SensorNetwork, seed: int) -> Float[ndarray, "N 2"]:
+def node_positions(network: SensorNetwork, seed: int = 0) -> Float[ndarray, "N 2"]:
     """Where the nodes are drawn, (N, 2)."""
     if network.positions is not None:
         given = network.positions

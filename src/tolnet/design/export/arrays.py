@@ -19,15 +19,16 @@ def write_npz(
     *,
     limits: Limits | None = None,
     data: Mapping[str, Any] | None = None,
+    deployment: Deployment | None = None,
 ) -> None:
     """Everything as arrays without pickle: the keys of the JSON document, joined by `_` where they are nested.
 
     Per node: `nodes_tolerance` and so on (N,); `nodes_P`, `nodes_V` (N, n, n). Gains and weights are packed as in
     `Deployment`: `neighbour_offsets` (N + 1,), `neighbours` and `weights` (L,), `gain_offsets` (L + 1,) and
-    `gains` (M, n), whose rows are the columns of G_k.
+    `gains` (M, n), whose rows are the columns of G_k. `deployment` takes the place of the table's own gains and weights.
     """
     record = TableRecord.of(table, limits, data)
-    deployment = Deployment.of(table)
+    deployment = Deployment.of(table) if deployment is None else deployment
     limits_of_centre = {f"central_limits_{key}": value for key, value in (record.central_limits or {}).items()}
     heading = record.heading()
     problem = heading.pop("problem")

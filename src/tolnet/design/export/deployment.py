@@ -38,7 +38,7 @@ class Deployment:
         heard.sort_indices()
         offsets, neighbours = heard.indptr.astype(np.int64), heard.indices.astype(np.int64)
         columns = np.concatenate([[0], np.cumsum(np.diff(network.rows)[neighbours])])
-        W = diffusion_matrix(network) if W is None else W
+        W = diffusion_matrix(network, table=table) if W is None else W
         hearing = np.repeat(np.arange(network.N), np.diff(offsets))
         weights = np.asarray(W[neighbours, hearing]).ravel() if neighbours.size else np.empty(0)
         return cls(offsets, neighbours, weights, columns, _gain_columns(table, offsets, neighbours, columns))

@@ -15,6 +15,7 @@ from tolnet import __version__
 from tolnet.model import (
     Ambiguity,
     Convention,
+    CorruptedNetwork,
     SensorNetwork,
     Status,
     ToleranceLimits,
@@ -136,13 +137,13 @@ class TableRecord:
 
 
 def opening(
-    schema: str, network: SensorNetwork | None, status: str, ambiguity: Ambiguity | None = None
+    schema: str, network: SensorNetwork | CorruptedNetwork | None, status: str, ambiguity: Ambiguity | None = None
 ) -> dict[str, Any]:
     """The keys that open every document; null for what does not exist. `ambiguity` takes the place of the network's.
 
     A table's heading has the same keys from its record, which may have been read from a file.
     """
-    if ambiguity is None and network is not None:
+    if ambiguity is None and isinstance(network, SensorNetwork):
         ambiguity = network.ambiguity
     return {
         "schema": schema,

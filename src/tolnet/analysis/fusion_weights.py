@@ -1,0 +1,171 @@
+"""Covariance-intersection weights without an SDP solver, many problems at once: the front door and the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, minimise
+from tolnet.analysis.stacked import cholesky, finite_members, inverse, symmetric_part
+from tolnet.model import FusionWeights, InputError, ShapeError
+from tolnet.model.fusion_weights import lower_bound
+
+BLOCK = 512
+"""Problems that are solved together: their arrays stay in the cache."""
+_ASYMMETRY = 1e-8
+_WANTED = 1e-6
+"""A gap above this is worth a second try."""
+_SAME = 1e-8
+"""Reference weights count as optimal where nothing is better by this part."""
+
+Progress = Callable[[int, int], None]
+
+
+def solve_fusion_weights(
+    information: Float[ndarray, "*B J n n"],
+    reference: Float[ndarray, "*B J"] | None = None,
+    *,
+    gap: float = 1e-8,
+    progress: Progress | None = None,
+) -> FusionWeights:
+    """Minimise tr P over the weights of a covariance intersection, eq. (17), for every member of a stack.
+
+        P = (sum_j delta_j Omega_j)^-1,   delta >= 0,   sum_j delta_j = 1;   with `reference` a:   P <= Omega(a)^-1
+
+    Omega_j >= 0 is the inverse of the j-th covariance; a slot without a pair is a zero matrix and gets no weight.
+    Assumes that Omega(a) > 0, or the mean of the Omega_j where there is no a. Newton's method on the optimality
+    conditions of the logarithmic barrier, with the multipliers beside the weights, until the relative `gap` of the
+    certificate is reached; statuses and residuals of the result are recomputed from the answer. Nothing else than the
+    reference weights is returned where they are optimal themselves.
+    Shapes: (*stack, J, n, n) and (*stack, J). `progress(done, total)` counts problems.
+    Raises InputError for matrices that are not symmetric and for reference weights that are no weights, ShapeError
+    where shapes do not fit.
+    Source: docs/mathematics.md, section 13.6.
+    """
+    check_problems(information, reference)
+    *stack, J, n, _ = information.shape
+    count = int(np.prod(stack))
+    Omega = information.reshape(count, J, n, n)
+    a = None if reference is None else reference.reshape(count, J)
+    weights, bound, iterations = np.empty((count, J)), np.empty(count), np.empty(count, dtype=int)
+    for start in range(0, count, BLOCK):
+        some = slice(start, start + BLOCK)
+        found = _solve_block(Omega[some], None if a is None else a[some], gap)
+        weights[some], bound[some], iterations[some] = found.weights, found.bound, found.iterations
+        if progress is not None:
+            progress(min(start + BLOCK, count), count)
+    return FusionWeights(
+        information=information,
+        reference=reference,
+        weights=weights.reshape(*stack, J),
+        bound=bound.reshape(stack),
+        iterations=iterations.reshape(stack),
+        method="newton",
+    )
+
+
+class Frame(NamedTuple):
+    """The problem in the coordinates x = T y in which Omega of the start is the identity (section 13.6).
+
+    There tr P is tr(M P), M = T' T, which is divided by its trace: the objective starts at 1.
+    """
+
+    T: Float[ndarray, "B n n"]
+    Omega: Float[ndarray, "B J n n"]
+    M: Float[ndarray, "B n n"]
+    scale: Float[ndarray, " B"]
+    """tr P at the start."""
+
+    def back(self, Z: Float[ndarray, "K n n"], members: Int[ndarray, " K"]) -> Float[ndarray, "K n n"]:
+        """A multiplier of some members' constraint, in the coordinates of the problem."""
+        T = self.T[members]
+        return symmetric_part(T @ (self.scale[members, None, None] * Z) @ T.mT)
+
+
+def frame(information: Float[ndarray, "B J n n"], start: Float[ndarray, "B J"]) -> Frame:
+    """Change the coordinates; NaN where Omega(start) is not positive definite."""
+    T = inverse(cholesky(np.einsum("bj,bjkl->bkl", start, information))).mT
+    Omega = symmetric_part(T.mT[:, None] @ information @ T[:, None])
+    M = T.mT @ T
+    scale = np.trace(M, axis1=1, axis2=2)
+    return Frame(T, Omega, M / scale[:, None, None], scale)
+
+
+def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[ndarray, "*B J"] | None) -> None:
+    """Refuse what is no stack of problems. Raises InputError or ShapeError, with the index of the first culprit."""
+    if information.ndim < 3 or information.shape[-1] != information.shape[-2] or 0 in information.shape[-3:]:
+        raise ShapeError(
+            f"information has shape {information.shape}; (..., J, n, n) was expected, J and n at least 1"
+        )
+    scale = np.sqrt(np.einsum("...ii->...i", np.abs(information)))
+    with np.errstate(invalid="ignore"):
+        skew = np.abs(information - information.mT) > _ASYMMETRY * scale[..., :, None] * scale[..., None, :]
+    if skew.any():
+        raise InputError(f"information{_place(skew)} is not symmetric")
+    if reference is None:
+        return
+    if reference.shape != information.shape[:-2]:
+        raise ShapeError(f"reference has shape {reference.shape}; {information.shape[:-2]} was expected")
+    off = ~(reference >= 0) | (np.abs(reference.sum(axis=-1, keepdims=True) - 1) > 1e-9)
+    if off.any():
+        raise InputError(
+            f"reference{_place(off.any(axis=-1)[..., None, None])} is no set of weights >= 0 that sum to one"
+        )
+
+
+def _place(culprits: ndarray) -> str:
+    """The index of the first culprit, without the two axes of its matrix."""
+    return "".join(f"[{i}]" for i in np.argwhere(culprits)[0][:-2])
+
+
+def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> FusionWeights:
+    """Boldly, then carefully where that failed; the reference weights where they are optimal."""
+    found = _minimise(Omega, a, gap, BOLD)
+    again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
+    if again.size:
+        careful = _minimise(Omega[again], None if a is None else a[again], gap, CAREFUL)
+        found = found.with_members(again, careful)
+    if a is None:
+        return found
+    # feasible without rounding, and nothing new to tell anybody
+    same = FusionWeights(Omega, a, a, found.bound, found.iterations, "newton")
+    prefer = same.ok & (same.trace <= found.trace * (1 + _SAME))
+    weights = np.where(prefer[:, None], a, found.weights)
+    return FusionWeights(Omega, a, weights, found.bound, found.iterations, "newton")
+
+
+def _minimise(
+    information: Float[ndarray, "B J n n"], reference: Float[ndarray, "B J"] | None, gap: float, haste: Haste
+) -> FusionWeights:
+    """Solve in the frame of the start, and bring the multipliers back."""
+    B, J, n, _ = information.shape
+    start = np.full((B, J), 1 / J) if reference is None else reference
+    finite = np.asarray(np.isfinite(information).all(axis=(1, 2, 3)))
+    within = frame(np.where(finite[:, None, None, None], information, 0.0), start)
+    usable = np.flatnonzero(finite & finite_members(within.T))
+    weights, Z, iterations = np.array(start), np.zeros((B, n, n)), np.zeros(B, dtype=int)
+    if usable.size:
+        found = minimise(
+            within.Omega[usable], within.M[usable], constrained=reference is not None, gap=gap, haste=haste
+        )
+        weights[usable], iterations[usable] = without_empty(found.weights, information[usable]), found.iterations
+        Z[usable] = within.back(found.multiplier, usable)
+    found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
+    return FusionWeights(
+        information,
+        reference,
+        weights,
+        lower_bound(information, reference, found.covariance, Z),
+        iterations,
+        "newton",
+    )
+
+
+def without_empty(weights: Float[ndarray, "B J"], information: Float[ndarray, "B J n n"]) -> Float[ndarray, "B J"]:
+    """Nothing for slots without a pair: what a barrier left there only dilutes the others."""
+    kept = np.where((information != 0).any(axis=(-1, -2)), weights, 0.0)
+    return kept / kept.sum(axis=-1, keepdims=True)

@@ -1,0 +1,170 @@
+"""Fastest mixing: W with the least |W - 11'/N|, by semidefinite programming."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from tolnet.analysis.curvature import Columns
+from tolnet.design.weights.admissible import Admissible, Constraints, make_admissible
+from tolnet.design.weights.programs import solve_program
+from tolnet.model import InputError, SensorNetwork, UnsupportedError
+
+LARGEST = 60
+"""Nodes; a semidefinite program of twice as many rows takes a minute."""
+LARGEST_SYMMETRIC = 120
+
+
+class MixingDesign(NamedTuple):
+    """W and its norm, and a bound that no admissible W is below."""
+
+    W: sparse.csr_array
+    value: float
+    bound: float
+    before: float
+    """The norm as the solver left it, before the last step made W exactly admissible."""
+
+
+def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constraints) -> MixingDesign:
+    """Minimise |W - 11'/N| (spectral norm) over admissible W; symmetric W give the fastest mixing Markov chain.
+
+    The bound is the dual: |W - 11'/N| >= <Z, W - 11'/N> for every Z of nuclear norm 1, and the least <Z, W> over the
+    admissible W is found column by column, or by a linear program where W is symmetric. Both are recomputed here,
+    whatever the solver says of itself.
+    Raises InputError for a graph that is not connected, UnsupportedError for one that is too large.
+    Source: S. Boyd, P. Diaconis, L. Xiao, SIAM Review 46(4):667-689, 2004.
+    """
+    check_connected(network)
+    most = LARGEST_SYMMETRIC if constraints.symmetric else LARGEST
+    if network.N > most:
+        advice = "" if constraints.symmetric else f"; symmetric weights are found up to {LARGEST_SYMMETRIC} nodes"
+        raise UnsupportedError(
+            f"the fastest mixing weights of {network.N} nodes are too much: at most {most}{advice}"
+        )
+    if network.N == 1:
+        return MixingDesign(sparse.csr_array(np.ones((1, 1))), 0.0, 0.0, 0.0)
+    w, Z = (_solve_symmetric if constraints.symmetric else _solve)(among)
+    W = make_admissible(among, w, symmetric=constraints.symmetric)
+    least = _least_symmetric if constraints.symmetric else _least
+    mean = np.full((network.N, network.N), 1 / network.N)
+    bound = max((least(among, X) - float((X * mean).sum())) / np.linalg.norm(X, "nuc") for X in (Z, -Z))
+    raw = np.zeros_like(mean)
+    raw[among.columns.sender, among.columns.hearer] = w
+    value = distance_from_average(W)
+    bound = min(max(float(bound), 0.0), value)  # both are right to the rounding of the linear program
+    return MixingDesign(W, value, bound, float(np.linalg.norm(raw - mean, 2)))
+
+
+def distance_from_average(W: sparse.csr_array) -> float:
+    """|W - 11'/N| in the spectral norm."""
+    dense = W.toarray()
+    return float(np.linalg.norm(dense - 1 / len(dense), 2))
+
+
+def is_connected(network: SensorNetwork) -> bool:
+    """Whether every node hears every other one, directly or by way of others."""
+    count, _ = connected_components(network.adjacency, directed=True, connection="strong")
+    return count == 1
+
+
+def check_connected(network: SensorNetwork) -> None:
+    """Raise InputError unless every node hears every other one, directly or by way of others."""
+    count, part = connected_components(network.adjacency, directed=True, connection="strong")
+    if count > 1:
+        other = int(np.flatnonzero(part != part[0])[0])
+        raise InputError(
+            f"the graph is not connected: nodes {network.label(0)} and {network.label(other)} do not hear each other,"
+            " by whatever way, so that no W averages over all nodes; use another objective, or add links"
+        )
+
+
+def _solve(among: Admissible) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N"]]:
+    """Weights link by link, and the dual matrix, of min t: [t I, W - 11'/N; (W - 11'/N)', t I] >= 0."""
+    import cvxpy as cp
+
+    columns, N = among.columns, among.columns.nodes
+    w, t, lower = cp.Variable(len(columns.sender)), cp.Variable(), cp.Parameter(N, nonneg=True)
+    X = _matrix(columns, w) - np.full((N, N), 1 / N)
+    norm = cp.bmat([[t * np.eye(N), X], [X.T, t * np.eye(N)]]) >> 0
+    sums = sparse.csr_array((np.ones(len(columns.hearer)), (columns.hearer, np.arange(len(columns.hearer)))))
+    limits: list[Any] = [norm, w >= 0, w[columns.own] >= lower, sums @ w == 1]
+    problem = cp.Problem(cp.Minimize(t), limits)
+    lower.value = among.lower
+    _solved(problem)
+    return np.asarray(w.value), np.asarray(norm.dual_value)[:N, N:]
+
+
+def _solve_symmetric(among: Admissible) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N"]]:
+    """The same for W = I - sum_e u_e (e_l - e_k)(e_l - e_k)', with -t I <= W - 11'/N <= t I."""
+    import cvxpy as cp
+
+    columns, N = among.columns, among.columns.nodes
+    first, second = _edges(columns)
+    u, t, room = cp.Variable(len(first)), cp.Variable(), cp.Parameter(N, nonneg=True)
+    each = np.arange(len(first))
+    ends = sparse.csr_array(
+        (np.ones(2 * len(first)), (np.concatenate([first, second]), np.concatenate([each, each]))),
+        shape=(N, len(first)),
+    )
+    difference = sparse.csr_array(
+        (np.repeat([1.0, -1.0], len(first)), (np.concatenate([first, second]), np.concatenate([each, each]))),
+        shape=(N, len(first)),
+    )
+    W = np.eye(N) - difference @ cp.diag(u) @ difference.T
+    X = W - np.full((N, N), 1 / N)
+    above, below = t * np.eye(N) - X >> 0, t * np.eye(N) + X >> 0
+    limits: list[Any] = [above, below, u >= 0, ends @ u <= room]
+    problem = cp.Problem(cp.Minimize(t), limits)
+    room.value = 1 - among.lower
+    _solved(problem)
+    found = np.asarray(W.value)
+    return found[columns.sender, columns.hearer], np.asarray(above.dual_value) - np.asarray(below.dual_value)
+
+
+def _solved(problem: Any) -> None:
+    if not solve_program(problem):
+        raise UnsupportedError(f"the semidefinite program of the mixing weights has no solution ({problem.status})")
+
+
+def _matrix(columns: Columns, w: Any) -> Any:
+    """W as an expression in the weights of its links."""
+    import cvxpy as cp
+
+    N, L = columns.nodes, len(columns.sender)
+    place = columns.sender + N * columns.hearer  # columns first
+    spread = sparse.csr_array((np.ones(L), (place, np.arange(L))), shape=(N * N, L))
+    return cp.reshape(spread @ w, (N, N), order="F")
+
+
+def _edges(columns: Columns) -> tuple[ndarray, ndarray]:
+    """The two ends of every link, each link once."""
+    once = columns.sender < columns.hearer
+    return columns.sender[once], columns.hearer[once]
+
+
+def _least(among: Admissible, Z: Float[ndarray, "N N"]) -> float:
+    """min <Z, W> over the admissible W: column by column all that is free goes where Z is least."""
+    columns = among.columns
+    cost = Z[columns.sender, columns.hearer]
+    best = np.where(columns.present, columns.spread(cost, np.inf), np.inf).min(axis=1)
+    return float(among.lower @ np.diagonal(Z) + (1 - among.lower) @ best)
+
+
+def _least_symmetric(among: Admissible, Z: Float[ndarray, "N N"]) -> float:
+    """min <Z, W> over the symmetric admissible W, a linear program in the weights of the links."""
+    from scipy.optimize import linprog
+
+    first, second = _edges(among.columns)
+    cost = Z[first, second] + Z[second, first] - Z[first, first] - Z[second, second]
+    each = np.arange(len(first))
+    ends = sparse.csr_array(
+        (np.ones(2 * len(first)), (np.concatenate([first, second]), np.concatenate([each, each]))),
+        shape=(len(Z), len(first)),
+    )
+    found = linprog(cost, A_ub=ends, b_ub=1 - among.lower, bounds=(0, None), method="highs")
+    return float(np.trace(Z) + found.fun) if found.success else -np.inf

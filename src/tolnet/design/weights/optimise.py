@@ -1,0 +1,241 @@
+"""The front door: the best diffusion weights that can be found, what they are worth, and what bounds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import sparse
+
+from tolnet.analysis import least_favourable_model
+from tolnet.analysis.msd_gradient import NetworkErrors
+from tolnet.design.diffusion import diffusion_matrix
+from tolnet.design.weights.admissible import Admissible, Constraints
+from tolnet.design.weights.decay import design_decay
+from tolnet.design.weights.general import search_general
+from tolnet.design.weights.mixing import design_mixing, distance_from_average, is_connected
+from tolnet.design.weights.msd import Criterion, MsdObjective
+from tolnet.design.weights.report import tell_msd, tell_other, without_performance
+from tolnet.design.weights.search import Watch, search_msd
+from tolnet.design.weights.setting import Setting, links_of, local_loops
+from tolnet.design.weights.sparsity import search_sparse
+from tolnet.model import (
+    DIFFUSION_RULES,
+    OBJECTIVES,
+    Complaint,
+    Diffusion,
+    InputError,
+    SensorNetwork,
+    Start,
+    Status,
+    ToleranceTable,
+    UnsupportedError,
+)
+
+Objective = Literal["msd", "worst", "robust", "decay", "mixing"]
+Method = Literal["auto", "quasi-newton", "ipopt"]
+
+_STARTS = ((50, 20), (150, 2))
+"""Up to so many nodes the search goes on from so many of the best starts; beyond, from the best alone."""
+_STARTS_OF_MAXIMA = 3
+"""The same for a largest value, which takes several searches a start."""
+_SDP_STARTS_UP_TO = 40
+"""Nodes up to which the designs by semidefinite programming are among the starts."""
+TOLERANCE = 1e-7
+"""Relative decrease of the objective, as the model of a step promises it, at which a search ends."""
+
+
+def optimise_diffusion(
+    network: SensorNetwork,
+    table: ToleranceTable,
+    objective: Objective | str = "msd",
+    *,
+    nodes: Float[ndarray, " N"] | None = None,
+    constraints: Constraints | None = None,
+    scenarios: Sequence[ToleranceTable] | None = None,
+    with_gains: bool = False,
+    method: Method | str = "auto",
+    watch: Watch = lambda what, value: None,
+) -> Diffusion:
+    """The best W that can be found, column-stochastic on the graph and nonnegative, eq. (11), for an objective:
+
+        msd      sum_k a_k MSD_k, a_k = 1 / N or `nodes` divided by their sum
+        worst    max_k MSD_k
+        robust   the largest mean MSD over `scenarios`: tables of the same network at other tolerances, or of networks
+                 with some of its links only, where what a lost link weighed goes to w_kk
+        decay    the decay rate r with the best certificate: X_k > sigma_k / r^2 sum_l w_lk M_l X_l M_l' for all k
+        mixing   |W - 11'/N|
+
+    MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of its centre; `with_gains`
+    makes every node's gain a variable too, on its own neighbours, and W, gains and model are then one design.
+    `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
+    `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
+
+    The result is never worse than any rule, or any design by semidefinite programming that it started from; it is a
+    local minimum otherwise. Where the filters have no performance (their status), W is the baseline and says why.
+    Raises InputError for constraints that nothing satisfies, arguments that do not fit, or a graph that is not connected
+    with `mixing`; UnsupportedError for tau other than 0, unknown words, and networks too large for `mixing`.
+    Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0022.
+    """
+    constraints = constraints or Constraints()
+    _check(network, table, objective, nodes, scenarios, with_gains, method, constraints)
+    at = Setting.of(network, table, constraints)
+    match objective:
+        case "mixing":
+            return _by_mixing(at)
+        case "decay":
+            return _by_decay(at, watch)
+    a = np.full(network.N, 1 / network.N) if nodes is None else np.asarray(nodes, dtype=float) / np.sum(nodes)
+    tables = list(scenarios or [table]) if objective == "robust" else [table]
+    criterion = Criterion("worst" if objective == "worst" else "mean", a)
+    return _by_msd(at, objective, tables, criterion, with_gains, method, watch)
+
+
+def _check(
+    network: SensorNetwork,
+    table: ToleranceTable,
+    objective: str,
+    nodes: Any,
+    scenarios: Sequence[ToleranceTable] | None,
+    with_gains: bool,
+    method: str,
+    constraints: Constraints,
+) -> None:
+    """Raise for arguments that do not fit each other, before anything is computed."""
+    complaints = []
+    if objective not in OBJECTIVES:
+        raise UnsupportedError(f"objective is {objective!r}; expected {', '.join(map(repr, OBJECTIVES))}")
+    if method not in ("auto", "quasi-newton", "ipopt"):
+        raise UnsupportedError(f"method is {method!r}; expected 'auto', 'quasi-newton' or 'ipopt'")
+    if table.tau != 0:
+        raise UnsupportedError(f"the least favourable model is defined for tau = 0 only (tau is {table.tau:g})")
+    by_msd = objective in ("msd", "worst", "robust")
+    if nodes is not None:
+        a = np.asarray(nodes, dtype=float)
+        if objective != "msd":
+            complaints.append(Complaint("nodes", f"is given; the objective {objective!r} weighs no nodes"))
+        elif a.shape != (network.N,) or not (np.isfinite(a) & (a >= 0)).all() or not a.any():
+            complaints.append(Complaint("nodes", f"is no list of {network.N} weights >= 0, not all of them 0"))
+    if scenarios and objective != "robust":
+        complaints.append(Complaint("scenarios", f"are given; the objective {objective!r} has one"))
+    for number, scenario in enumerate(scenarios or ()):
+        other = scenario.network
+        if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
+            complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
+    if with_gains and objective not in ("msd", "worst"):
+        complaints.append(Complaint("with_gains", f"cannot be combined with the objective {objective!r}"))
+    general = method == "ipopt" or constraints.symmetric
+    if with_gains and (general or constraints.max_neighbours is not None):
+        complaints.append(Complaint("with_gains", "cannot be combined with ipopt, symmetric or max_neighbours"))
+    if general and constraints.max_neighbours is not None and not constraints.symmetric:
+        complaints.append(Complaint("max_neighbours", "cannot be combined with ipopt"))
+    if constraints.symmetric and method == "quasi-newton" and by_msd:
+        complaints.append(Complaint("method", "is 'quasi-newton'; symmetric weights need 'ipopt'"))
+    if constraints.max_neighbours is not None and not by_msd:
+        complaints.append(Complaint("max_neighbours", f"cannot be combined with the objective {objective!r}"))
+    if constraints.symmetric and objective == "decay":
+        complaints.append(Complaint("symmetric", "cannot be combined with the objective 'decay'"))
+    if complaints:
+        raise InputError(complaints)
+    constraints.check(network)
+
+
+def _by_msd(
+    at: Setting,
+    objective: str,
+    tables: list[ToleranceTable],
+    criterion: Criterion,
+    with_gains: bool,
+    method: str,
+    watch: Watch,
+) -> Diffusion:
+    network, among = at.network, at.among
+    models = [at.model if t is at.table else least_favourable_model(t.network, t.central) for t in tables]
+    scenarios = [
+        NetworkErrors(t.network, t.local, model, columns=among.columns)
+        for t, model in zip(tables, models, strict=True)
+    ]
+    lacking = next((s for s in scenarios if not s.exists), None)
+    if lacking is not None:
+        return without_performance(at, objective, lacking.status, lacking.reason)
+    problem = MsdObjective(scenarios, criterion, gains=with_gains)
+    starts = _starts(at)
+    most = next((count for size, count in _STARTS if network.N <= size), 1)
+    most = most if problem.plain or with_gains else min(most, _STARTS_OF_MAXIMA)
+    d = at.constraints.max_neighbours
+    if at.constraints.symmetric or method == "ipopt":
+        found = search_general(problem, among, starts, symmetric=at.constraints.symmetric, watch=watch)
+    elif d is not None and d < network.degree.max():
+        found = search_sparse(problem, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
+    else:
+        found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)
+    if found.z is None:
+        reason = "no start has a finite mean square deviation, not even W = I: the filters themselves are unstable"
+        return without_performance(at, objective, Status.UNSTABLE, reason)
+    bound = max(float(np.trace(model.error_covariance)) for model in models)
+    return tell_msd(at, objective, tables, criterion, problem, found, bound)
+
+
+def _starts(at: Setting) -> dict[str, Float[ndarray, " L"]]:
+    """Every rule that the graph allows, the network's own W, and the designs by semidefinite programming."""
+    network, columns = at.network, at.among.columns
+    matrices: dict[str, sparse.csr_array] = {"weights": at.baseline} if at.rule == "weights" else {}
+    for rule in DIFFUSION_RULES:
+        try:
+            matrices[rule] = diffusion_matrix(network, rule, at.table)
+        except UnsupportedError:  # this graph has no such weights
+            continue
+    if 1 < network.N <= _SDP_STARTS_UP_TO:
+        rules = {name: links_of(W, columns) for name, W in matrices.items()}
+        plain = Constraints(own_weight=at.constraints.own_weight)
+        matrices["decay"] = design_decay(Admissible.of(columns, plain), local_loops(at.table), rules, _silent).W
+        if is_connected(network):
+            matrices["mixing"] = design_mixing(network, Admissible.of(columns, plain), plain).W
+    return {name: links_of(W, columns) for name, W in matrices.items()}
+
+
+def _silent(what: str, value: float) -> None:
+    """Nobody watches."""
+
+
+def _by_mixing(at: Setting) -> Diffusion:
+    design = design_mixing(at.network, at.among, at.constraints)
+    before = distance_from_average(at.baseline)
+    change = design.value / design.before - 1 if design.before > 0 else 0.0
+    start = Start("semidefinite program", before, design.value)
+    return tell_other(
+        at, "mixing", design.W, design.value, before, design.bound, change, [start], [before, design.value]
+    )
+
+
+def _by_decay(at: Setting, watch: Watch) -> Diffusion:
+    table, columns = at.table, at.among.columns
+    if not table.local.exists.all():
+        k = int(np.argmin(table.local.exists))
+        reason = f"the filter of node {at.network.label(k)} has no steady state ({table.local.status[k]})"
+        return without_performance(at, "decay", Status(str(table.local.status[k])), reason)
+    starts = {}
+    for rule in DIFFUSION_RULES:
+        try:
+            starts[rule] = links_of(diffusion_matrix(at.network, rule, table), columns)
+        except UnsupportedError:
+            continue
+    starts[at.rule] = links_of(at.baseline, columns)
+    design = design_decay(at.among, local_loops(table), starts, watch)
+    rates = [Start(name, rate, float("nan")) for name, rate in design.starts.items()]
+    told = tell_other(
+        at,
+        "decay",
+        design.W,
+        design.certificate.rate,
+        design.starts[at.rule],
+        design.bound,
+        design.certificate.rate / design.before - 1,
+        rates,
+        design.history,
+    )
+    return replace(told, certificate=design.certificate, best_start=design.best_start, interrupted=design.interrupted)

@@ -1,0 +1,92 @@
+"""What was chosen for the sliding window of every node, and what else could have been."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from tolnet.model.corrupted import CorruptedNetwork
+from tolnet.model.results import _ReadOnly
+
+
+class WindowPoint(NamedTuple):
+    """One window length and one interval for all nodes: what it costs, and what it gives."""
+
+    window: int
+    """L."""
+    interval: int
+    """Delta; 0 is never, Algorithm 1."""
+    solves: float
+    """Fusion problems per second and node (per step, where the problem does not say how long a step is)."""
+    bytes: int
+    """Per link and step: the pairs that a node keeps of a neighbour, each of which is carried along every step."""
+    node_trace: Float[ndarray, " N"]
+    """Mean of tr P_{k,i} over the second half of the horizon."""
+    on_front: bool
+    """Whether nothing else costs at most as much in both ways and gives less."""
+    affordable: bool
+    """Whether it is within the budget."""
+
+    @property
+    def trace(self) -> float:
+        """Mean over the nodes."""
+        return float(self.node_trace.mean())
+
+
+class KeptPair(NamedTuple):
+    """One of the pairs that a node fuses."""
+
+    sender: int
+    age: int
+    """How many instants ago it came."""
+    weight: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowChoice(_ReadOnly):
+    """Window length and interval of every node, for a budget; traces are means over the second half of `steps`."""
+
+    network: CorruptedNetwork
+    budget: Mapping[str, float]
+    """`solves` per second and node, `bytes` per link and step; what is missing is not limited."""
+    window: Int[ndarray, " N"]
+    interval: Int[ndarray, " N"]
+    """0 is never: Algorithm 1."""
+    node_trace: Float[ndarray, " N"]
+    """Of tr P_{k,i}, all nodes running what was chosen."""
+    weights: tuple[tuple[KeptPair, ...], ...]
+    """Of every node at the last instant at which it solved; those of Algorithm 1 where it never did."""
+    front: tuple[WindowPoint, ...]
+    """Everything that was tried, Algorithm 1 first."""
+    steps: int
+    solves: int
+    fallbacks: int
+    """How many of the solves Algorithm 1 had to answer, since the weights failed a check."""
+
+    @property
+    def trace(self) -> float:
+        """Mean over the nodes."""
+        return float(self.node_trace.mean())
+
+    @property
+    def plain(self) -> WindowPoint:
+        """Algorithm 1."""
+        return self.front[0]
+
+    @property
+    def gain(self) -> float:
+        """The part of Algorithm 1's trace that is saved."""
+        return 1 - self.trace / self.plain.trace
+
+    def method(self, i: int) -> str:
+        """Which filter node i runs."""
+        return "DRKF-SWF" if self.interval[i] else "DRKF"
+
+    def __repr__(self) -> str:
+        lengths, every = np.unique(self.window), np.unique(self.interval)
+        return f"<WindowChoice: L in {lengths.tolist()}, every {every.tolist()} steps, trace {self.trace:.6g}>"

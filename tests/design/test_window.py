@@ -1,0 +1,88 @@
+"""Windows for a budget: what is chosen is affordable, as good as the best, and what it is said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.corrupted_networks import odd_network
+
+from tolnet import model
+from tolnet.analysis import follow_window
+from tolnet.design import choose_window
+from tolnet.design.window import pair_bytes
+from tolnet.model import InputError
+from tolnet.model.window_choice import WindowChoice
+
+
+def test_every_node_takes_the_cheapest_that_is_as_good():
+    network = odd_network(2)
+    choice = choose_window(network, windows=(1, 2), intervals=(1, 3), steps=6)
+    history = follow_window(network, 6, choice.window, choice.interval)
+    np.testing.assert_array_equal(choice.node_trace, history.node_trace[3:].mean(axis=0))
+    assert choice.plain.interval == 0
+    assert choice.trace < choice.plain.trace
+    assert (choice.node_trace <= choice.plain.node_trace * (1 + 1e-9)).all()
+    best = np.min([point.node_trace for point in choice.front], axis=0)
+    assert choice.trace <= best.mean() * 1.01
+    assert [point.solves for point in choice.front] == [0, 1, pytest.approx(1 / 3), 1, pytest.approx(1 / 3)]
+    assert choice.front[1].bytes == pair_bytes(network) == 8 * (3 + 6)
+
+
+def test_a_budget_limits_what_is_taken():
+    network = odd_network(2)
+    unlimited = choose_window(network, windows=(2,), intervals=(1, 2), steps=4)
+    limited = choose_window(network, {"solves": 0.5, "bytes": 72}, windows=(1, 2), intervals=(1, 2), steps=4)
+    assert set(limited.interval.tolist()) <= {0, 2}
+    assert set(limited.window.tolist()) == {1}
+    assert unlimited.trace < limited.trace <= limited.plain.trace
+    nothing = choose_window(network, {"solves": 0.0}, windows=(1,), intervals=(1,), steps=6)
+    assert nothing.gain == 0
+    assert [nothing.method(i) for i in range(5)] == ["DRKF"] * 5
+    weights = [[pair.weight for pair in pairs] for pairs in nothing.weights]
+    np.testing.assert_allclose(weights[0], network.fusion[[0]].data)
+
+
+def test_the_front_is_a_front():
+    choice = choose_window(model.example("field"), windows=(1, 3), intervals=(1, 4), steps=8)
+    for point in choice.front:
+        cheaper = [p for p in choice.front if p.solves <= point.solves and p.bytes <= point.bytes and p is not point]
+        dominated = any(p.trace <= point.trace * (1 + 1e-9) for p in cheaper)
+        assert point.on_front == (not dominated)
+    assert choice.front[0].on_front
+
+
+def test_weights_are_those_of_the_last_fusion():
+    choice = choose_window(odd_network(2), windows=(2,), intervals=(1,), steps=8)
+    for i, pairs in enumerate(choice.weights):
+        assert sum(pair.weight for pair in pairs) == pytest.approx(1, abs=1e-5)
+        assert {pair.sender for pair in pairs} <= set(odd_network(2).neighbours(i).tolist())
+        assert {pair.age for pair in pairs} <= {0, 1}
+    assert isinstance(choice, WindowChoice)
+    assert "L in [2]" in repr(choice)
+
+
+def test_seconds_count_where_a_step_has_a_length():
+    network = model.CorruptedNetwork(
+        A=[[0.9]], Q=[[1.0]], C=[[[1.0]], [[1.0]]], R=[[[1.0]], [[1.0]]], edges=[[0, 1]], dt=0.1
+    )
+    choice = choose_window(network, {"solves": 5}, windows=(1,), intervals=(1, 2), steps=4)
+    assert [point.solves for point in choice.front] == pytest.approx([0, 10, 5])
+    assert [point.affordable for point in choice.front] == [True, False, True]
+
+
+def test_progress_ends_at_the_total():
+    seen: list[tuple[int, int]] = []
+    choose_window(odd_network(), windows=(1,), intervals=(1,), steps=4, progress=lambda *at: seen.append(at))
+    assert seen[-1] == (12, 12)
+
+
+def test_misuse_is_refused_at_once():
+    network = odd_network()
+    with pytest.raises(InputError, match="budget.power is no known budget"):
+        choose_window(network, {"power": 1})
+    with pytest.raises(InputError, match="budget.bytes is 10; a link needs 72 bytes"):
+        choose_window(network, {"bytes": 10})
+    with pytest.raises(InputError, match="windows is"):
+        choose_window(network, windows=(0, 1))
+    with pytest.raises(InputError, match=r"budget.solves is nan(.|\n)*steps is 1"):
+        choose_window(network, {"solves": float("nan")}, steps=1)
