@@ -182,7 +182,8 @@ class CorruptedReader(Reader):
         if "kind" in channel:
             given["channel"] = channel["kind"]
         try:
-            return SimulationModel(**given, half_width=channel.get("half_width"))
+            width = channel.get("half_width")
+            return SimulationModel(**given, half_width=None if width is None else float(width))
         except InputError as error:
             for complaint in error.complaints:
                 self.blame(complaint.key, complaint.message)
