@@ -1,7 +1,7 @@
 """Monte Carlo over corrupted channels against a plain loop over runs and nodes (tests/reference/corrupted_loop.py).
 
-Both are first shown to agree on the same draws; the time of drawing counts on both sides. Steps per second and node count every node of
-every run. The loop is timed on a few runs and multiplied. DRKF-SWF solves eq. (17) at every step;
+Both are first shown to agree on the same draws; the time of drawing counts on both sides. Steps per second and node
+count every node of every run. The loop is timed on a few runs and multiplied. DRKF-SWF solves eq. (17) at every step;
 the loop then calls Clarabel.
 """
 
