@@ -12,7 +12,7 @@ from scipy import sparse
 from tolnet.model import _checks as checks
 from tolnet.model import sensors as packing
 from tolnet.model._checks import Complaints
-from tolnet.model.time_varying import PerNode, TimeVarying, all_nodes_over_time, over_time
+from tolnet.model.time_varying import PerNode, TimeVarying, all_nodes_over_time, depth, over_time
 
 
 def parse_plant(A: Any, B: Any, Q: Any, F: Any, mu: Any, complaints: Complaints) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def parse_start(
     if mean is not None:
         mean = checks.shaped(mean, (n,), "plant.initial_mean", f"a vector of {many}", complaints)
     mean = np.zeros(width) if mean is None else mean
-    if packing.by_node(P_0) and len(P_0) == N and all(np.ndim(item) == 2 or item is None for item in P_0):
+    if packing.by_node(P_0) and len(P_0) == N and all(depth(item) == 2 or item is None for item in P_0):
         found = [
             np.eye(width)
             if item is None
