@@ -177,7 +177,11 @@ def _run(
         w = unknowns.weights(x)
         value, at = objective.value(w)
         found.evaluations += 1
-        if np.isfinite(value) and w.min() >= -_NEARLY and float((unknowns.limits @ x - unknowns.high).max()) <= _NEARLY:
+        if (
+            np.isfinite(value)
+            and w.min() >= -_NEARLY
+            and float((unknowns.limits @ x - unknowns.high).max()) <= _NEARLY
+        ):
             found.offer(name, w, value if objective.plain else objective.exact(w))
             found.history.append(found.value)
             watch(label, found.value)
@@ -203,8 +207,8 @@ def _run(
         def has_jacobian(self) -> bool:
             return True
 
-        def get_jacobian(self, *args: Any) -> Any:
-            self.slope = Slope(args[0], args[3])
+        def get_jacobian(self, name: Any, inames: Any, onames: Any, opts: Any) -> Any:
+            self.slope = Slope(name, opts)
             return self.slope
 
     class Slope(casadi.Callback):

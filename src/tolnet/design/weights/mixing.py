@@ -41,9 +41,11 @@ def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constr
     """
     check_connected(network)
     most = LARGEST_SYMMETRIC if constraints.symmetric else LARGEST
-    if network.N > most:
+    if most < network.N:
         advice = "" if constraints.symmetric else f"; symmetric weights are found up to {LARGEST_SYMMETRIC} nodes"
-        raise UnsupportedError(f"the fastest mixing weights of {network.N} nodes are too much: at most {most}{advice}")
+        raise UnsupportedError(
+            f"the fastest mixing weights of {network.N} nodes are too much: at most {most}{advice}"
+        )
     if network.N == 1:
         return MixingDesign(sparse.csr_array(np.ones((1, 1))), 0.0, 0.0, 0.0)
     w, Z = (_solve_symmetric if constraints.symmetric else _solve)(among)

@@ -81,4 +81,6 @@ def links_of(W: sparse.csr_array, columns: Columns) -> Float[ndarray, " L"]:
 def local_loops(table: ToleranceTable) -> Float[ndarray, "N n n"]:
     """M_k = A (I + V_k S_k)^-1."""
     eye = np.eye(table.network.n)
-    return table.network.A @ np.linalg.solve(eye + table.local.V @ table.local.S, np.broadcast_to(eye, table.local.V.shape))
+    return table.network.A @ np.linalg.solve(
+        eye + table.local.V @ table.local.S, np.broadcast_to(eye, table.local.V.shape)
+    )
