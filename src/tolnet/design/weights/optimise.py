@@ -72,8 +72,8 @@ def optimise_diffusion(
         decay    the decay rate r with the best certificate: X_k > sigma_k / r^2 sum_l w_lk M_l X_l M_l' for all k
         mixing   |W - 11'/N|
 
-    MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre. `with_gains`
-    makes every node's gain a variable too, on its own neighbours, and W, gains and model are then one design.
+    MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre.
+    `with_gains` makes every node's gain a variable too, on its own neighbours.
     `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
 
