@@ -100,7 +100,7 @@ def test_a_gradient_without_one_term_is_seen():
 
 
 def test_an_unstable_network_has_infinite_msd():
-    network, table, errors = instance(1)
+    _, _, errors = instance(1)
     w = random_weights(errors, np.random.default_rng(0))
     h = np.concatenate([w, 50 * errors.gains])
     assert np.isinf(errors.solve(h).node_msd).all()
@@ -117,9 +117,8 @@ def test_lost_links_hand_their_weight_to_the_node_itself():
     table = next(t for t in with_a_link_less(network) if t.ok)
     shorter = table.network
     model = analysis.least_favourable_model(shorter, table.central)
-    whole = NetworkErrors(
-        network, design.choose_tolerances(network, 0.02).local, analysis.least_favourable_model(network, table.central)
-    )
+    local = design.choose_tolerances(network, 0.02).local
+    whole = NetworkErrors(network, local, analysis.least_favourable_model(network, table.central))
     errors = NetworkErrors(shorter, table.local, model, columns=whole.columns)
     rng = np.random.default_rng(0)
     w = random_weights(whole, rng)

@@ -106,7 +106,11 @@ def test_rules_and_objectives_side_by_side_and_links(tolnet: Tolnet, small: Path
     assert f"{links[0]['from']}-{links[0]['to']}" in ran.out
 
 
-def test_the_gain_table_is_what_certify_reads(tolnet: Tolnet, small: Path, tmp_path: Path):
+def test_the_gain_table_is_what_certify_reads(
+    tolnet: Tolnet, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("tolnet.design.weights.search._STEPS_WITH_GAINS", 20)
+    monkeypatch.setattr("tolnet.design.weights.search._RANDOM_WITH_GAINS", 0)
     table = tmp_path / "gains.npz"
     ran = tolnet("diffusion", small, "--with-gains", "--gain-table", table, "-o", tmp_path / "g.npz", "--json")
     assert ran.code == 0

@@ -1,6 +1,6 @@
 """The part of a network's second derivative that needs no further equation: node by node, at fixed Q and Y.
 
-At fixed error covariances Psi before mixing and adjoint Y, J is quadratic in column k of W and in node k's gain apart:
+At fixed Psi (error covariance before mixing) and adjoint Y, J is quadratic in column k of W, and in node k's gain:
 
     w_k' B w_k,  B_lm = tr(Y_kk Psi_lm)            tr(Y_0,kk H Sigma_k H'),  Sigma_k = I + f_k' D_k f_k
 
@@ -156,7 +156,7 @@ class Curvature:
 
     @classmethod
     def of_pairs(cls, columns: Columns, B: Float[ndarray, " T"], gains: Sequence[GainCurvature] = ()) -> Curvature:
-        """From B_lm, pair by pair of `columns.pairs`; the part that moves all weights of a column alike is taken out."""
+        """From B_lm, pair by pair of `columns.pairs`; what moves all weights of a column alike is taken out."""
         i, j = columns.pairs
         full = np.zeros((*columns.present.shape, columns.present.shape[1]))
         full[columns.hearer[i], columns.place[i], columns.place[j]] = 2 * B

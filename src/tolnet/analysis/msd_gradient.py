@@ -6,8 +6,8 @@ With U = W' (x) I for the filters and I for the centre, F = U F_0 and G = U G_0,
     2.  J = sum_k a_k tr Q_kk + b_k tr Psi_kk,  Y = F' Y F + C_a + F_0' C_b F_0         the adjoint
     3.  dJ / dw_lk = 2 tr (Y U Psi)_kl                                        only where node k hears node l
 
-A gain in channel coordinates is a column h_kc for each node k and channel c that it hears, whose output f_c' x carries
-noise of unit variance: M_k = A - sum_c h_kc f_c' and E_k = Q + (A - M_k) Z A'. With Y_0 = U' Y U + C_b and X = Y_0 F_0 Q,
+A gain in channel coordinates is a column h_kc for each node k and channel c that it hears, whose output f_c' x has
+noise of unit variance: M_k = A - sum_c h_kc f_c', E_k = Q + (A - M_k) Z A'. With Y_0 = U' Y U + C_b, X = Y_0 F_0 Q,
 
     4.  dJ / dh_kc = 2 (-X_kk + (X_ke S' + (Y_0 E T)_k) A Z) f_c + 2 (Y_0 H)_kc,   S = T (A - G C)
 
@@ -148,8 +148,8 @@ class NetworkErrors:
 
     The variables are one vector: the weights w_lk link by link (`columns`) and, where gains are variables too, the
     h_kc of each group of states, states counted in `unit`. `columns` may be those of a graph with more links: what a
-    lost link weighed then goes to w_kk. Dense: (N + 1)^2 n^2 numbers for each group of n states that is not coupled to the
-    others; the time of a gradient is that of five products of such matrices a doubling.
+    lost link weighed then goes to w_kk. Dense: (N + 1)^2 n^2 numbers for each group of n states that is not coupled
+    to the others; the time of a gradient is that of five products of such matrices a doubling.
     Raises what `error_dynamics` raises. `status` and `reason` are those of the dynamics; without numbers there, every
     choice of W has infinite MSD.
     """

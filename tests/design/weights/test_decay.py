@@ -22,7 +22,7 @@ UNSTABLE_SEEDS = (1152, 1966, 2467)
 
 
 def unstable_weightings(seed: int) -> tuple[SensorNetwork, ToleranceTable]:
-    """Stable local filters on a path or a ring that uniform weights make unstable (docs/mathematics.md, section 7)."""
+    """Stable filters on a path or a ring that uniform weights make unstable (docs/mathematics.md, section 7)."""
     rng = np.random.default_rng(seed)
     n, N = int(rng.integers(2, 4)), int(rng.integers(3, 7))
     A = rng.normal(size=(n, n))

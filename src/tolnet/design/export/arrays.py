@@ -25,7 +25,7 @@ def write_npz(
 
     Per node: `nodes_tolerance` and so on (N,); `nodes_P`, `nodes_V` (N, n, n). Gains and weights are packed as in
     `Deployment`: `neighbour_offsets` (N + 1,), `neighbours` and `weights` (L,), `gain_offsets` (L + 1,) and
-    `gains` (M, n), whose rows are the columns of G_k. `deployment` takes the place of the table's own gains and weights.
+    `gains` (M, n), whose rows are the columns of G_k. `deployment` stands for the table's own.
     """
     record = TableRecord.of(table, limits, data)
     deployment = Deployment.of(table) if deployment is None else deployment

@@ -111,9 +111,9 @@ class Admissible:
 def make_admissible(among: Admissible, w: Float[ndarray, " L"], *, symmetric: bool = False) -> sparse.csr_array:
     """The last step of every design: weights below zero set to zero, columns divided by their sums.
 
-    Symmetric weights are averaged over the two directions of a link, scaled down together where some column leaves less
-    than it must for w_kk, and w_kk is what the others leave: dividing would break the symmetry. Entries outside the graph do not exist here.
-    The sums of the doubles that are returned are within rounding of one.
+    Symmetric weights are averaged over the two directions of a link, scaled down together where some column leaves
+    too little for w_kk, and w_kk is what the others leave: dividing would break the symmetry. Entries outside the
+    graph do not exist here. The sums of the doubles that are returned are within rounding of one.
     """
     columns, N = among.columns, among.columns.nodes
     w = np.maximum(w, 0.0)

@@ -145,7 +145,7 @@ class _ColumnPrograms:
     def best(
         self, P: Float[ndarray, "d n n"], cost: Float[ndarray, " d"], lower: Float[ndarray, " d"]
     ) -> Float[ndarray, " d"] | None:
-        """argmin cost'w over the simplex above `lower`, subject to sum_l w_l P_l <= I; None where the solver fails."""
+        """argmin cost'w over the simplex above `lower`, subject to sum_l w_l P_l <= I; None if that fails."""
         import cvxpy as cp
 
         d = len(cost)
@@ -226,7 +226,7 @@ def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCert
     """A rate that no admissible W beats with these X_k: at every node, max over Lambda of min_l tr(Lambda P_l).
 
     Lambda >= 0 with trace 1; the largest eigenvalue of any sum_l w_l P_l, P_l = X_k^-1/2 M_l X_l M_l' X_k^-1/2, is at
-    least the least tr(Lambda P_l). Any Lambda gives a bound; this one comes from the solver, and counts as recomputed.
+    least the least tr(Lambda P_l). Any Lambda gives a bound; this one comes from the solver, the bound is recomputed.
     """
     import cvxpy as cp
 
@@ -240,7 +240,8 @@ def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCert
             Lambda, t = cp.Variable((n, n), PSD=True), cp.Variable()
             matrices = [cp.Parameter((n, n), symmetric=True) for _ in range(d)]
             rows: list[Any] = [cp.trace(Lambda @ matrix) >= t for matrix in matrices]
-            programs[d] = cp.Problem(cp.Maximize(t), [*rows, cp.trace(Lambda) == 1]), Lambda, matrices
+            limits: list[Any] = [*rows, cp.trace(Lambda) == 1]
+            programs[d] = cp.Problem(cp.Maximize(t), limits), Lambda, matrices
         problem, Lambda, matrices = programs[d]
         for matrix, value in zip(matrices, P, strict=True):
             matrix.value = value

@@ -18,7 +18,7 @@ def pack_gains(
 ) -> GainTable:
     """G_k on the neighbours of node k, from its h_kc: G_kl = sum over the channels c of sensor l of h_kc t_c'.
 
-    A sensor's channels are the columns f of F_l with F_l F_l' = C_l' R_l^-1 C_l; their outputs are t_c' y_l, where the
+    A sensor's channels are the columns f of F_l, F_l F_l' = C_l' R_l^-1 C_l; their outputs are t_c' y_l, where the
     t_c' are the rows of F_l^+ C_l' R_l^-1. Rounding apart, sum_l G_kl C_l is sum_c h_kc f_c'.
     """
     offsets, neighbours = errors.columns.offsets, errors.columns.sender

@@ -207,8 +207,8 @@ def _run(
         def has_jacobian(self) -> bool:
             return True
 
-        def get_jacobian(self, *args: Any) -> Any:
-            self.slope = Slope(args[0], args[3])
+        def get_jacobian(self, name: Any, inames: Any, onames: Any, opts: Any) -> Any:
+            self.slope = Slope(name, opts)
             return self.slope
 
     class Slope(casadi.Callback):

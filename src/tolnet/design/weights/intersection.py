@@ -1,4 +1,4 @@
-"""Covariance intersection: the weights that are best where nobody knows how the errors of neighbours hang together."""
+"""Covariance intersection: the best weights where nobody knows how the errors of neighbours hang together."""
 
 from __future__ import annotations
 

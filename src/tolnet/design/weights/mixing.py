@@ -41,7 +41,7 @@ def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constr
     """
     check_connected(network)
     most = LARGEST_SYMMETRIC if constraints.symmetric else LARGEST
-    if network.N > most:
+    if most < network.N:
         advice = "" if constraints.symmetric else f"; symmetric weights are found up to {LARGEST_SYMMETRIC} nodes"
         raise UnsupportedError(
             f"the fastest mixing weights of {network.N} nodes are too much: at most {most}{advice}"

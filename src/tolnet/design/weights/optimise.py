@@ -20,7 +20,7 @@ from tolnet.design.weights.general import search_general
 from tolnet.design.weights.mixing import design_mixing, distance_from_average, is_connected
 from tolnet.design.weights.msd import Criterion, MsdObjective
 from tolnet.design.weights.report import tell_msd, tell_other, without_performance
-from tolnet.design.weights.search import Watch, search_msd
+from tolnet.design.weights.search import RANDOM, Watch, search_msd
 from tolnet.design.weights.setting import Setting, links_of, local_loops
 from tolnet.design.weights.sparsity import search_sparse
 from tolnet.model import (
@@ -43,6 +43,8 @@ _STARTS = ((50, 20), (150, 2))
 """Up to so many nodes the search goes on from so many of the best starts; beyond, from the best alone."""
 _STARTS_OF_MAXIMA = 3
 """The same for a largest value, which takes several searches a start."""
+_RANDOM_STARTS, _RANDOM_UP_TO = 4, 50
+"""So many starts are drawn at random, always the same ones, in networks of up to so many nodes."""
 _SDP_STARTS_UP_TO = 40
 """Nodes up to which the designs by semidefinite programming are among the starts."""
 TOLERANCE = 1e-7
@@ -70,15 +72,15 @@ def optimise_diffusion(
         decay    the decay rate r with the best certificate: X_k > sigma_k / r^2 sum_l w_lk M_l X_l M_l' for all k
         mixing   |W - 11'/N|
 
-    MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of its centre; `with_gains`
-    makes every node's gain a variable too, on its own neighbours, and W, gains and model are then one design.
+    MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre.
+    `with_gains` makes every node's gain a variable too, on its own neighbours.
     `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
 
     The result is never worse than any rule, or any design by semidefinite programming that it started from; it is a
     local minimum otherwise. Where the filters have no performance (their status), W is the baseline and says why.
-    Raises InputError for constraints that nothing satisfies, arguments that do not fit, or a graph that is not connected
-    with `mixing`; UnsupportedError for tau other than 0, unknown words, and networks too large for `mixing`.
+    Raises InputError for constraints that nothing satisfies, arguments that do not fit, or a graph in pieces with
+    `mixing`; UnsupportedError for tau other than 0, unknown words, and networks too large for `mixing`.
     Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0022.
     """
     constraints = constraints or Constraints()
@@ -164,7 +166,7 @@ def _by_msd(
         return without_performance(at, objective, lacking.status, lacking.reason)
     problem = MsdObjective(scenarios, criterion, gains=with_gains)
     starts = _starts(at)
-    most = next((count for size, count in _STARTS if network.N <= size), 1)
+    most = next((count for size, count in _STARTS if size >= network.N), 1)
     most = most if problem.plain or with_gains else min(most, _STARTS_OF_MAXIMA)
     d = at.constraints.max_neighbours
     if at.constraints.symmetric or method == "ipopt":
@@ -181,7 +183,7 @@ def _by_msd(
 
 
 def _starts(at: Setting) -> dict[str, Float[ndarray, " L"]]:
-    """Every rule that the graph allows, the network's own W, and the designs by semidefinite programming."""
+    """Every rule that the graph allows, the network's own W, designs by semidefinite programming, and random ones."""
     network, columns = at.network, at.among.columns
     matrices: dict[str, sparse.csr_array] = {"weights": at.baseline} if at.rule == "weights" else {}
     for rule in DIFFUSION_RULES:
@@ -195,7 +197,11 @@ def _starts(at: Setting) -> dict[str, Float[ndarray, " L"]]:
         matrices["decay"] = design_decay(Admissible.of(columns, plain), local_loops(at.table), rules, _silent).W
         if is_connected(network):
             matrices["mixing"] = design_mixing(network, Admissible.of(columns, plain), plain).W
-    return {name: links_of(W, columns) for name, W in matrices.items()}
+    starts = {name: links_of(W, columns) for name, W in matrices.items()}
+    if 1 < network.N <= _RANDOM_UP_TO:
+        drawn = np.random.default_rng(0).exponential(size=(_RANDOM_STARTS, len(columns.sender))) ** 2
+        starts |= {f"{RANDOM}-{number + 1}": w / columns.sums(w)[columns.hearer] for number, w in enumerate(drawn)}
+    return starts
 
 
 def _silent(what: str, value: float) -> None:

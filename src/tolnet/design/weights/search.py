@@ -18,10 +18,12 @@ Watch = Callable[[str, float], None]
 """(what is going on, the best value so far)."""
 
 _BLENDS = (0.25, 0.5, 0.75, 0.9, 1.0)
-SENT = (1e-1, 1e-2, 1e-3)
+SENT = (1e-2, 1e-3)
 """How much the errors of what is sent count while gains are searched for, ever less; the last is what remains."""
-_GAIN_STARTS = 3
-"""Gains are searched for from so many of the best weights; each takes seconds."""
+RANDOM = "random"
+"""How the names of random starts begin."""
+_RANDOM_WITH_GAINS = 3
+_STEPS_WITH_GAINS = 300
 
 
 @dataclass
@@ -52,7 +54,8 @@ def search_msd(
     tolerance: float,
     watch: Watch,
 ) -> Search:
-    """Minimise the criterion from the `most` best of the starts, and with gains too from the best of those.
+    """Minimise the criterion from the `most` best of the starts; with gains too from the best weights found, from the
+    best start as it is, and from random ones.
 
     A start with infinite MSD is blended with W = I until it is stable, which W = I always is where the filters are.
     KeyboardInterrupt ends the search with the best so far, once there is one.
@@ -100,11 +103,12 @@ def _search(
     gains = objective.scenarios[0].gains
     stages = [replace(stage, gains=True, sent=sent) for stage in objective.stages[:1] for sent in SENT]
     stages += [replace(stage, gains=True, sent=SENT[-1]) for stage in objective.stages[1:]]
-    begin = [(name, w) for _, name, w in [*ends[:1], *ranked[:1], *ends[1:]]][:_GAIN_STARTS]
+    drawn = [each for each in ranked if each[1].startswith(RANDOM)][:_RANDOM_WITH_GAINS]
+    begin = [(name, w) for _, name, w in [*ends[:1], *ranked[:1], *drawn]]
     for number, (name, w) in enumerate(begin):
         label = f"gains too, from {name} ({number + 1} of {len(begin)})"
         z = np.concatenate([w, gains])
-        _descend(stages, among, z, name, label, 10 * tolerance, watch, found)
+        _descend(stages, among, z, name, label, tolerance, watch, found)
 
 
 def _descend(
@@ -127,7 +131,10 @@ def _descend(
             found.history.append(found.value)
             watch(label, found.value)
 
-        end = minimise(stage, end.z, among.project, tolerance=tolerance, centre=among.centred, watch=step)
+        steps = _STEPS_WITH_GAINS if stage.gains else 200
+        end = minimise(
+            stage, end.z, among.project, tolerance=tolerance, steps=steps, centre=among.centred, watch=step
+        )
         found.evaluations += end.evaluations
     if found.best_start == name:
         found.converged = end.converged

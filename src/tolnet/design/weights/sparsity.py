@@ -33,7 +33,7 @@ def search_sparse(
 
     1. all links; 2. one link less a round for every node that uses too many, the one whose loss costs least to second
     order, and a search from there; 3. swaps of a used link for the unused one with the steepest descent, while they
-    gain. A start is kept to its d largest weights. Local: the choice of links is combinatorial. KeyboardInterrupt ends
+    gain. A start is kept to its d largest weights. Local: the choice of links is combinatorial. Ctrl-C ends
     the search with the best so far, once there is one.
     """
     kept = {name: _largest(among, w, d) for name, w in starts.items()}
