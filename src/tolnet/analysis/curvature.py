@@ -175,7 +175,8 @@ class Curvature:
     def scale(self) -> Float[ndarray, " K"]:
         """At least the largest eigenvalue of each column's model."""
         bound = np.abs(self.weights).sum(axis=2).max(axis=1)
-        return np.maximum(bound, _LEAST * bound.max(initial=0.0) + np.finfo(float).tiny)
+        largest = float(bound.max(initial=0.0))
+        return np.maximum(bound, _LEAST * largest) if largest > 0 else np.ones_like(bound)
 
     def times(self, v: Float[ndarray, " z"]) -> Float[ndarray, " z"]:
         """The model's second derivative times v."""

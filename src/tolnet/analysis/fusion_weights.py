@@ -69,7 +69,7 @@ def solve_fusion_weights(
 
 
 class Frame(NamedTuple):
-    """The problem in the coordinates x = T y in which Omega of the start is the identity, eq. (13.6.2).
+    """The problem in the coordinates x = T y in which Omega of the start is the identity (section 13.6).
 
     There tr P is tr(M P), M = T' T, which is divided by its trace: the objective starts at 1.
     """

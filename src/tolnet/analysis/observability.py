@@ -27,6 +27,7 @@ Progress = Callable[[int, int], None]
 _SINGULAR = 1e-12  # smallest singular value, columns scaled to one, below which a window sees nothing somewhere
 _FAR, _TOO_FAR = 1e120, 1e150  # rows whose squares are near the end of doubles, and beyond it
 _CHUNK = 2_000_000  # numbers in one stack of factors of all nodes
+_EVERY_START = 100_000  # pairs of a node and a start beyond which nodes are told apart by the weakest starts only
 
 
 class _Path(NamedTuple):
@@ -70,6 +71,17 @@ class _Path(NamedTuple):
         for _ in range(L - 1):
             factors = self.lengthened(one, factors)
         return factors
+
+
+    def windows_from(self, starts: Int[ndarray, " k"], L: int) -> Float[ndarray, "k N n n"]:
+        """Factors of every node for the windows that begin at `starts`."""
+        K = len(self.Y)
+        following = np.append(np.arange(1, K), K - self.limit) if self.limit else np.arange(1, K + 1)
+        Phi, rows, at = np.broadcast_to(np.eye(self.A.shape[1]), (len(starts), *self.A.shape[1:])), [], starts
+        for _ in range(L):
+            rows.append(self.Y[at] @ Phi[:, None])
+            Phi, at = self.A[at] @ Phi, following[at]
+        return triangle(np.concatenate(rows, axis=-2))
 
 
 def robust_observability(
@@ -233,7 +245,10 @@ def _ever_seen(path: _Path, longest: int) -> bool:
 
 
 class _Nodes:
-    """What each node, and each sensor that might be added, changes; over all windows, a few at a time."""
+    """What each node, and each sensor that might be added, changes; over all windows, a few at a time.
+
+    Where nodes times windows are more than _EVERY_START, over the windows that say least and those of the limit.
+    """
 
     def __init__(
         self,
@@ -259,19 +274,30 @@ class _Nodes:
             ),
         }
         alone = np.ones(N, dtype=bool)
-        own = path.windows(path.Y, L)
+        own = path.windows(path.Y, L) if len(factors) * N <= _EVERY_START else None
+        starts = np.arange(len(factors))
+        if own is None:
+            starts = _weakest(factors, path.limit, max(1, _EVERY_START // N))
         step = max(1, _CHUNK // (N * n * n))
-        for begin in range(0, len(own), step):
-            part = own[begin : begin + step]
-            whole = np.broadcast_to(factors[begin : begin + step, None], part.shape)
+        for begin in range(0, len(starts), step):
+            chosen = starts[begin : begin + step]
+            part = path.windows_from(chosen, L) if own is None else own[chosen]
+            whole = np.broadcast_to(factors[chosen, None], part.shape)
             alpha, seen = smallest(part)
             alone &= seen.all(axis=0)
             _lower(found["alpha_of_node"], alpha)
             _lower(found["alpha_with_copy"], smallest(triangle(np.concatenate([whole, part], axis=-2)))[0])
             _lower(found["alpha_without_node"], smallest(_all_but_one(part))[0])
             if progress is not None:
-                progress(min(begin + step, len(own)), len(own))
+                progress(min(begin + step, len(starts)), len(starts))
         self.found = {**found, "holds_of_node": alone, "added_variance": r}
+
+
+def _weakest(factors: Float[ndarray, "K n n"], limit: int, count: int) -> Int[ndarray, " k"]:
+    """The starts whose windows say least, and as many of the limit as there is room for."""
+    last = np.arange(len(factors) - limit, len(factors))[:count]
+    order = np.argsort(smallest(factors)[0], kind="stable")
+    return np.unique(np.concatenate([last, order[: max(1, count - len(last))]]))
 
 
 def _lower(least: Float[ndarray, " N"], alpha: Float[ndarray, "K N"]) -> None:

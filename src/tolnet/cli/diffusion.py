@@ -137,6 +137,9 @@ def diffusion(
         console.suggest(f"tolnet certify {shlex.quote(problem)} --table {shlex.quote(str(gain_table))}")
     if certificate is not None and found.status != "no-steady-state":
         _prove(found, ambiguity, certificate, console)
+        designed = next((path for path in outputs if path.suffix.lower() == ".toml"), None)
+        against = repeated(problem=designed, table=gain_table if designed is not None else None)
+        console.suggest(f"tolnet check {shlex.quote(str(certificate))}{against}")
     if found.interrupted:
         console.note("interrupted: these are the best weights so far")
     options = repeated(tolerance=tolerance, convention=convention)
@@ -280,7 +283,6 @@ def _prove(found: Diffusion, ambiguity: Ambiguity, path: Path, console: Console)
     for verdict in write_certificate(found, ambiguity, path, console):
         console.show(f"{verdict.verdict}: {verdict.statement}")
     console.wrote([path])
-    console.suggest(f"tolnet check {shlex.quote(str(path))}")
 
 
 def _more(
@@ -294,18 +296,21 @@ def _more(
     """The comparison and the links, where they were asked for and nothing was interrupted."""
     rivals: list[Rival] = []
     links: list[AddedLink] = []
-    if compare and not found.interrupted:
-        from tolnet.design.weights.compare import compare_diffusions
+    try:
+        if compare and not found.interrupted:
+            from tolnet.design.weights.compare import compare_diffusions
 
-        with console.progress("all rules and objectives") as progress:
-            rivals = compare_diffusions(found.table.network, found.table, constraints, watch=progress.say)
-    if add_links is not None and not found.interrupted and found.status.has_numbers:
-        from tolnet.design.weights.topology import add_links as rank_links
+            with console.progress("all rules and objectives") as progress:
+                rivals = compare_diffusions(found.table.network, found.table, constraints, watch=progress.say)
+        if add_links is not None and not found.interrupted and found.status.has_numbers:
+            from tolnet.design.weights.topology import add_links as rank_links
 
-        with console.progress("links") as progress:
-            links = rank_links(found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say)
-        if links[-1].interrupted:
-            console.note("interrupted: these are the links that were found so far")
+            with console.progress("links") as progress:
+                links = rank_links(found.table.network, ambiguity, found.W.toarray(), add_links, watch=progress.say)
+            if links[-1].interrupted:
+                console.note("interrupted: these are the links that were found so far")
+    except KeyboardInterrupt:
+        console.note("interrupted: the weights were found, and are written; not all that was asked beside them")
     return rivals, links
 
 

@@ -108,20 +108,22 @@ class Admissible:
         return np.concatenate([self.columns.centred(v[:L]), v[L:]])
 
 
-def make_admissible(columns: Columns, w: Float[ndarray, " L"], *, symmetric: bool = False) -> sparse.csr_array:
+def make_admissible(among: Admissible, w: Float[ndarray, " L"], *, symmetric: bool = False) -> sparse.csr_array:
     """The last step of every design: weights below zero set to zero, columns divided by their sums.
 
-    Symmetric weights are averaged over the two directions of a link, scaled down where some column would exceed one,
-    and w_kk is what the others leave: dividing would break the symmetry. Entries outside the graph do not exist here.
+    Symmetric weights are averaged over the two directions of a link, scaled down together where some column leaves less
+    than it must for w_kk, and w_kk is what the others leave: dividing would break the symmetry. Entries outside the graph do not exist here.
     The sums of the doubles that are returned are within rounding of one.
     """
-    N = columns.nodes
+    columns, N = among.columns, among.columns.nodes
     w = np.maximum(w, 0.0)
     W = sparse.csr_array(sparse.coo_array((w, (columns.sender, columns.hearer)), shape=(N, N)))
     if symmetric:
         others = sparse.csr_array((W + W.T) / 2)
         others = sparse.csr_array(others - sparse.diags_array(others.diagonal()))
-        others = others / max(1.0, float(np.max(others.sum(axis=0), initial=0.0)))
+        crowded = np.asarray(others.sum(axis=0)) > 1 - among.lower
+        room = (1 - among.lower)[crowded] / np.asarray(others.sum(axis=0))[crowded]
+        others = others * float(np.min(room, initial=1.0))
         W = sparse.csr_array(others + sparse.diags_array(np.maximum(1.0 - np.asarray(others.sum(axis=0)), 0.0)))
     else:
         W = sparse.csr_array(W @ sparse.diags_array(1.0 / np.asarray(W.sum(axis=0))))

@@ -86,6 +86,7 @@ class SecondMoments:
         if self.size <= _DENSE_UP_TO:
             return float(np.abs(np.linalg.eigvals(self._dense(weighing))).max())
         kind: Any = LinearOperator
+        solve: Any = eigs
         operator = kind(
             shape=(self.size, self.size),
             matvec=lambda x: self.apply(weighing, x.reshape(self.shape)).ravel(),
@@ -93,7 +94,7 @@ class SecondMoments:
         )
         start = np.tile(np.eye(self.shape[1]), (self.shape[0], 1, 1)).ravel()
         try:
-            found = eigs(operator, k=1, v0=start, ncv=30, maxiter=300, tol=1e-9, return_eigenvectors=False)
+            found = solve(operator, k=1, v0=start, ncv=30, maxiter=300, tol=1e-9, return_eigenvectors=False)
         except ArpackNoConvergence:
             return self._by_powers(weighing)
         return float(np.abs(found).max())
@@ -152,7 +153,7 @@ class _ColumnPrograms:
             w = cp.Variable(d)
             matrices = [cp.Parameter((self.n, self.n), symmetric=True) for _ in range(d)]
             prices, floor = cp.Parameter(d), cp.Parameter(d, nonneg=True)
-            total = sum((w[i] * matrix for i, matrix in enumerate(matrices)), np.zeros((self.n, self.n)))
+            total: Any = sum((w[i] * matrix for i, matrix in enumerate(matrices)), np.zeros((self.n, self.n)))
             limits = [total << np.eye(self.n), w >= floor, cp.sum(w) == 1]
             self._programs[d] = cp.Problem(cp.Minimize(prices @ w), limits), w, matrices, prices, floor
         problem, w, matrices, prices, floor = self._programs[d]
@@ -194,7 +195,7 @@ def design_decay(
                     break
     except KeyboardInterrupt:
         interrupted = True
-    W = make_admissible(columns, w)
+    W = make_admissible(among, w)
     final = np.asarray(W[columns.sender, columns.hearer]).ravel()
     certificate = certify(moments, final)
     bound = rate_bound(moments, among, certificate)
@@ -238,7 +239,7 @@ def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCert
         if d not in programs:
             Lambda, t = cp.Variable((n, n), PSD=True), cp.Variable()
             matrices = [cp.Parameter((n, n), symmetric=True) for _ in range(d)]
-            rows = [cp.trace(Lambda @ matrix) >= t for matrix in matrices]
+            rows: list[Any] = [cp.trace(Lambda @ matrix) >= t for matrix in matrices]
             programs[d] = cp.Problem(cp.Maximize(t), [*rows, cp.trace(Lambda) == 1]), Lambda, matrices
         problem, Lambda, matrices = programs[d]
         for matrix, value in zip(matrices, P, strict=True):

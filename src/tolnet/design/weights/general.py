@@ -111,6 +111,8 @@ def search_general(
                 return found
         end = objective.exact(unknowns.weights(u))
         found.starts = [Start(s.name, s.value, end) if s.name == name else s for s in found.starts]
+    if found.z is not None and not symmetric:
+        found.z = among.project(found.z)  # IPOPT keeps its bounds to 1e-8
     return found
 
 
@@ -137,7 +139,7 @@ class _Interrupt:
 def _nearest(unknowns: _Unknowns, among: Admissible, w: Float[ndarray, " L"]) -> Float[ndarray, " u"]:
     """Unknowns strictly inside whose weights are near w."""
     columns = among.columns
-    if unknowns.map.shape[0] == unknowns.map.shape[1]:
+    if len(unknowns.least) == len(unknowns.base):
         uniform = among.project(np.zeros(len(w)) + 1 / columns.degree[columns.hearer])
         return (1 - _INSIDE) * among.project(w) + _INSIDE * uniform
     dense = sparse.csr_array(sparse.coo_array((w, (columns.sender, columns.hearer))))
@@ -205,8 +207,8 @@ def _run(
         def has_jacobian(self) -> bool:
             return True
 
-        def get_jacobian(self, name: str, inames: Any, onames: Any, options: Any) -> Any:
-            self.slope = Slope(name, options)
+        def get_jacobian(self, *args: Any) -> Any:
+            self.slope = Slope(args[0], args[3])
             return self.slope
 
     class Slope(casadi.Callback):
@@ -251,7 +253,7 @@ def _run(
         def eval(self, arg: Any) -> Any:
             return [int(interrupt.seen)]
 
-    limits = unknowns.limits.shape[0]
+    limits = len(unknowns.low)
     value, watcher = Value(), Watcher()
     x = casadi.MX.sym("x", size)
     A = casadi.DM(unknowns.limits.toarray())

@@ -29,9 +29,9 @@ class _Traces:
         P = np.linalg.inv(information)
         return float(np.einsum("kii,i->", P, self.unit**2)), P
 
-    def gradient(self, P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, " L"], Curvature]:
+    def gradient(self, at: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, " L"], Curvature]:
         """-tr(P V_l^-1 P), and tr(P V_l^-1 P V_m^-1 P); in the state's own units."""
-        columns = self.columns
+        columns, P = self.columns, at
         PO = P[columns.hearer] @ self.precision[columns.sender]
         POP = PO @ P[columns.hearer]
         i, j = columns.pairs

@@ -49,7 +49,7 @@ def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constr
     if network.N == 1:
         return MixingDesign(sparse.csr_array(np.ones((1, 1))), 0.0, 0.0, 0.0)
     w, Z = (_solve_symmetric if constraints.symmetric else _solve)(among)
-    W = make_admissible(among.columns, w, symmetric=constraints.symmetric)
+    W = make_admissible(among, w, symmetric=constraints.symmetric)
     least = _least_symmetric if constraints.symmetric else _least
     mean = np.full((network.N, network.N), 1 / network.N)
     bound = max((least(among, X) - float((X * mean).sum())) / np.linalg.norm(X, "nuc") for X in (Z, -Z))
@@ -92,7 +92,8 @@ def _solve(among: Admissible) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N
     X = _matrix(columns, w) - np.full((N, N), 1 / N)
     norm = cp.bmat([[t * np.eye(N), X], [X.T, t * np.eye(N)]]) >> 0
     sums = sparse.csr_array((np.ones(len(columns.hearer)), (columns.hearer, np.arange(len(columns.hearer)))))
-    problem = cp.Problem(cp.Minimize(t), [norm, w >= 0, w[columns.own] >= lower, sums @ w == 1])
+    limits: list[Any] = [norm, w >= 0, w[columns.own] >= lower, sums @ w == 1]
+    problem = cp.Problem(cp.Minimize(t), limits)
     lower.value = among.lower
     _solved(problem)
     return np.asarray(w.value), np.asarray(norm.dual_value)[:N, N:]
@@ -117,7 +118,8 @@ def _solve_symmetric(among: Admissible) -> tuple[Float[ndarray, " L"], Float[nda
     W = np.eye(N) - difference @ cp.diag(u) @ difference.T
     X = W - np.full((N, N), 1 / N)
     above, below = t * np.eye(N) - X >> 0, t * np.eye(N) + X >> 0
-    problem = cp.Problem(cp.Minimize(t), [above, below, u >= 0, ends @ u <= room])
+    limits: list[Any] = [above, below, u >= 0, ends @ u <= room]
+    problem = cp.Problem(cp.Minimize(t), limits)
     room.value = 1 - among.lower
     _solved(problem)
     found = np.asarray(W.value)

@@ -52,13 +52,13 @@ TOLERANCE = 1e-7
 def optimise_diffusion(
     network: SensorNetwork,
     table: ToleranceTable,
-    objective: Objective = "msd",
+    objective: Objective | str = "msd",
     *,
     nodes: Float[ndarray, " N"] | None = None,
     constraints: Constraints | None = None,
     scenarios: Sequence[ToleranceTable] | None = None,
     with_gains: bool = False,
-    method: Method = "auto",
+    method: Method | str = "auto",
     watch: Watch = lambda what, value: None,
 ) -> Diffusion:
     """The best W that can be found, column-stochastic on the graph and nonnegative, eq. (11), for an objective:
@@ -72,14 +72,14 @@ def optimise_diffusion(
 
     MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of its centre; `with_gains`
     makes every node's gain a variable too, on its own neighbours, and W, gains and model are then one design.
-    `method` None of the general solvers: `quasi-newton` unless W must be symmetric, which takes `ipopt`.
+    `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
 
     The result is never worse than any rule, or any design by semidefinite programming that it started from; it is a
     local minimum otherwise. Where the filters have no performance (their status), W is the baseline and says why.
-    Raises InputError for constraints that nothing satisfies, or arguments that do not fit; UnsupportedError for tau
-    other than 0, a graph that is not connected with `mixing`, and combinations that are not offered.
-    Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0024.
+    Raises InputError for constraints that nothing satisfies, arguments that do not fit, or a graph that is not connected
+    with `mixing`; UnsupportedError for tau other than 0, unknown words, and networks too large for `mixing`.
+    Source: docs/mathematics.md, section 12; docs/decisions/0020 to 0022.
     """
     constraints = constraints or Constraints()
     _check(network, table, objective, nodes, scenarios, with_gains, method, constraints)
@@ -124,7 +124,7 @@ def _check(
         complaints.append(Complaint("scenarios", f"are given; the objective {objective!r} has one"))
     for number, scenario in enumerate(scenarios or ()):
         other = scenario.network
-        if other.N != network.N or other.n != network.n or (other.adjacency > network.adjacency).nnz:
+        if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
             complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
     if with_gains and objective not in ("msd", "worst"):
         complaints.append(Complaint("with_gains", f"cannot be combined with the objective {objective!r}"))
@@ -150,7 +150,7 @@ def _by_msd(
     tables: list[ToleranceTable],
     criterion: Criterion,
     with_gains: bool,
-    method: Method,
+    method: str,
     watch: Watch,
 ) -> Diffusion:
     network, among = at.network, at.among
@@ -169,7 +169,7 @@ def _by_msd(
     d = at.constraints.max_neighbours
     if at.constraints.symmetric or method == "ipopt":
         found = search_general(problem, among, starts, symmetric=at.constraints.symmetric, watch=watch)
-    elif d is not None:
+    elif d is not None and d < network.degree.max():
         found = search_sparse(problem, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
     else:
         found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)

@@ -33,7 +33,7 @@ def tell_msd(
     """The last step, and everything recomputed by the solver of `tolnet performance`; for gains, by their own."""
     assert found.z is not None
     columns, L = at.among.columns, len(at.among.columns.sender)
-    W = make_admissible(columns, found.z[:L], symmetric=at.constraints.symmetric)
+    W = make_admissible(at.among, found.z[:L], symmetric=at.constraints.symmetric)
     before = [at.performance(at.baseline, each) for each in tables]
     baseline = criterion(np.array([each.node_msd for each in before]))
     first = tables.index(at.table) if at.table in tables else 0
