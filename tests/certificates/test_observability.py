@@ -165,6 +165,33 @@ def test_a_transient_ends_in_a_loop_and_a_growing_moment_needs_none():
     assert growing["gains"][0][0] == "0x0p+0"
 
 
+def test_what_does_not_fade_proves_what_it_sees_alone():
+    """The growth is along one of two states: of two outputs that fade, floating point still counts a combination."""
+    C = np.array([[4.0, 1.0], [0.0, 4.0]])
+    network = CorruptedNetwork(
+        A=[[1.25, 0.0], [0.0, 0.5]],
+        Q=np.eye(2),
+        C=[C, np.eye(2) / 16],
+        R=[np.eye(2), np.eye(2)],
+        fading_mean=[0.75, 1.0],
+        fading_variance=[0.125, 0.0],
+        edges=[[0, 1]],
+    )
+    verdict = decided(network, Claimed(1, None))
+    assert isinstance(verdict, Proved)
+    assert float.fromhex(verdict.keys["alpha"]) == pytest.approx(2.0**-8, rel=1e-9)
+    assert results(document(network, verdict)) == [("valid", None)]
+
+
+def test_an_overflow_is_no_proof():
+    """Over 700 instants the Gramian is beyond doubles in one direction."""
+    network = CorruptedNetwork(A=[[3.0, 0.0], [0.0, 0.5]], Q=np.eye(2), C=[np.eye(2)], R=[np.eye(2)], edges=[])
+    with np.errstate(over="ignore"):
+        verdict = prove_observability(network, Claimed(700, None), 1.0, None)
+    assert isinstance(verdict, Proved)
+    assert results(document(network, verdict)) == [("valid", None)]
+
+
 def test_states_in_very_different_units():
     network = two_states(scale=1e5)
     verdict = decided(network, Claimed(2, 4))

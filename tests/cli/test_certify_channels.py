@@ -121,3 +121,13 @@ def test_a_file_with_a_tolerance_too_is_certified_for_exact_channels_by_name(tol
     file.write_text(file.read_text() + "\n[ambiguity]\ntolerance = 0.01\n")
     assert tolnet("certify", file, "--claims", "schur-stability").code == 0
     assert "observability" in tolnet("certify", file).out
+
+
+def test_windows_and_horizons_beyond_the_range_of_doubles(tolnet: Tolnet, tmp_path: Path):
+    """3^700 is no double: a window that long is refused in a word, a horizon that far is no matter."""
+    fast = saved(tmp_path / "fast.toml", A=[[3.0, 0.0], [0.0, 0.75]])
+    ran = tolnet("certify", fast, "--window", 700)
+    assert ran.code == 2
+    assert "beyond the range of doubles" in ran.err
+    assert tolnet("certify", fast, "--horizon", 800, "--form", "classical").code == 0
+    assert tolnet("certify", saved(tmp_path / "a.toml", A=[[3.0, 0.0], [0.0, 4.0]]), "--horizon", 800).code == 3

@@ -25,6 +25,7 @@ from tolnet.model.observability import FORMS, Form, RobustObservability
 Progress = Callable[[int, int], None]
 
 _SINGULAR = 1e-12  # smallest singular value, columns scaled to one, below which a window sees nothing somewhere
+_FAR, _TOO_FAR = 1e120, 1e150  # rows whose squares are near the end of doubles, and beyond it
 _CHUNK = 2_000_000  # numbers in one stack of factors of all nodes
 _EVERY_START = 100_000  # pairs of a node and a start beyond which nodes are told apart by the weakest starts only
 
@@ -56,7 +57,13 @@ class _Path(NamedTuple):
         if not len(following):
             return following
         A = self.A[: len(following)].reshape(len(following), *(1,) * (one.ndim - 3), *self.A.shape[1:])
-        return triangle(np.concatenate([one[: len(following)], following @ A], axis=-2))
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows = np.concatenate([one[: len(following)], following @ A], axis=-2)
+        if not np.abs(rows).max(initial=0.0) < _TOO_FAR:
+            raise InputError(
+                "a window is so long that what it sees is beyond the range of doubles; a shorter one was expected"
+            )
+        return triangle(rows)
 
     def windows(self, one: Float[ndarray, "K *N p n"], L: int) -> Float[ndarray, "I *N n n"]:
         """Factors of the windows of L instants, from the rows of single instants."""
@@ -205,6 +212,8 @@ def _find_window(path: _Path, window: int | None, longest: int) -> tuple[int, li
     doomed = window is None and not _ever_seen(path, longest)
     for L in range(1, longest + 1):
         if L > 1:
+            if window is None and np.abs(factors).max(initial=0.0) > _FAR:
+                break  # longer ones are near the end of doubles, and no shorter one sees everything
             factors = path.lengthened(one, factors)
         alpha, seen = smallest(factors)
         by_window.append(float(alpha.min()))
@@ -218,7 +227,11 @@ def _ever_seen(path: _Path, longest: int) -> bool:
     """Whether the longest windows see everything, by doubling the window; with a horizon, the one longest window."""
     one = path.Y.reshape(len(path.Y), -1, path.A.shape[1])
     if not path.limit:
-        return bool(smallest(path.windows(one, longest))[1].all())
+        seen = triangle(one[-1])
+        for Y, A in zip(one[-2::-1], path.A[-2::-1], strict=True):
+            moved = seen @ A  # directions matter here, sizes do not
+            seen = triangle(np.concatenate([Y, moved / max(1.0, float(np.abs(moved).max(initial=0.0)))]))
+        return bool(smallest(seen[None])[1].all())
     K = len(one)
     following = np.append(np.arange(1, K), K - path.limit)
     factors, Phi, L = triangle(one), path.A, 1

@@ -31,7 +31,7 @@ _MOMENT_BITS = (44, 30, 18)
 _SLACK = (2.0**-20, 2.0**-10, 2.0**-5, 1.0)
 """How far above the limit of the second moment its bound may lie, tried one after the other."""
 _TRIED = (1 - 1e-10, 1 - 1e-6, 1 - 1e-4, 0.999, 0.99, 0.9, 0.5)
-"""Parts of the alpha that floating point sees."""
+"""Parts of the alpha that floating point sees, and of that of what is counted."""
 _LONGEST = 2000
 """Instants that are followed one by one, before the bounds of the second moment must have closed their loop."""
 
@@ -113,14 +113,19 @@ def prove_observability(
         gains = [exact.gains(k, claimed.form, None if moments is None else moments[k], bits) for k in range(count)]
         path = Path(gains, moments, loop)
         gramians = _gramians(exact, path, claimed)
-        for part in _TRIED:
-            below = float(f"{part * alpha:.12g}")
+        near = gramians.rounded()
+        seen = float(np.linalg.eigvalsh(near)[:, 0].min()) if np.isfinite(near).all() else 0.0
+        for below in sorted(
+            {float(f"{part * size:.12g}") for part in _TRIED for size in (alpha, seen)}, reverse=True
+        ):
             if below > 0 and (gramians - _multiple(below, network.n)).definite().all():
                 keys = {"alpha": number_text(below), **claimed.keys}
                 return Proved(
                     "observability", statements.observability(below, **claimed.keys), path.proof(), keys=keys
                 )
-        reason = f"the exact Gramian of some window does not exceed {_TRIED[-1] * alpha:.3g} I"
+        reason = (
+            f"floating point sees alpha = {alpha:.3g}, but what can be counted exactly does not exceed any alpha > 0"
+        )
     return undecided(claimed, reason)
 
 
