@@ -86,7 +86,8 @@ def test_everything_that_is_drawn_is_as_large_as_the_bounds_allow():
     assert (first.e[:, own] == 0).all()
     assert (first.D[:, own] == 0).all()
     for r in np.flatnonzero(~own):
-        np.testing.assert_allclose(np.cov(first.e[:, r].T), network.W_bar(1)[r], atol=0.03 * network.W_bar(1)[r, 0, 0])
+        bound = network.W_bar(1)[r]
+        np.testing.assert_allclose(np.cov(first.e[:, r].T), bound, atol=0.03 * bound[0, 0])
         np.testing.assert_array_equal(first.D[:, r], first.D[:, r].swapaxes(1, 2))
         reach = np.abs(np.linalg.eigvalsh(first.D[:, r])).max()
         bound = network.D_bar(1)[r, 0, 0]
@@ -134,7 +135,7 @@ def test_fading_kinds_and_contradictions():
     assert 0.95 < wide.max() <= 1.01
     with pytest.raises(model.InputError, match=r"sensors\[0\]\.fading_variance is 0\.01; Bernoulli fading"):
         factors(of("bernoulli", 0.01))
-    with pytest.raises(model.InputError, match="plant.initial_second_moment is below the square"):
+    with pytest.raises(model.InputError, match=r"plant\.initial_second_moment is below the square"):
         factors(of("uniform", 0.0, initial_second_moment=[[0.1]]))
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.instances_corrupted import arguments, drawn
+from tests.instances_corrupted import arguments
 from tests.reference import naive_channels as naive
 
 from tolnet.analysis import error_bound, follow_drkf, multiplicative_noise_condition, solve_drkf, sweep_drkf
@@ -148,7 +148,8 @@ def test_an_unstable_mode_that_nobody_sees():
 
 
 def test_noise_on_a_growing_direction():
-    given: dict[str, Any] = {"A": np.diag([1.1, 0.5]), "Q": np.eye(2), "C": [np.eye(2)], "R": [np.eye(2)], "edges": []}
+    one = np.eye(2)
+    given: dict[str, Any] = {"A": np.diag([1.1, 0.5]), "Q": one, "C": [one], "R": [one], "edges": []}
     driven = CorruptedNetwork(**given, F=np.diag([1.0, 0.0]), multiplicative_variance=0.1)
     assert solve_drkf(driven).status == Status.DIVERGES
     noise = multiplicative_noise_condition(driven)

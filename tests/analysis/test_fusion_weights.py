@@ -164,9 +164,9 @@ def test_the_loop_returns_its_best_where_steps_run_out():
 
 def test_misuse_is_refused():
     good = covariances(np.random.default_rng(1), 2, 3, 2)
+    bad = good.copy()
+    bad[1, 2, 0, 1] += 0.1
     with pytest.raises(InputError, match=r"information\[1\]\[2\] is not symmetric"):
-        bad = good.copy()
-        bad[1, 2, 0, 1] += 0.1
         solve_fusion_weights(bad)
     with pytest.raises(ShapeError, match="information has shape"):
         solve_fusion_weights(np.empty((3, 0, 2, 2)))

@@ -1,4 +1,4 @@
-"""Robust collective observability: sums of eqs. (6) and (11) against the textbook, windows, nodes, and the long run."""
+"""Robust collective observability: sums of eqs. (6) and (11) against the textbook, windows, nodes, the long run."""
 
 from __future__ import annotations
 

@@ -45,9 +45,7 @@ def random_network(seed: int, *, directed: bool = False, factors: bool = False) 
 def scalar(a: float, weight: float = 1.0) -> Deployed:
     """One node without a sensor: F = [weight a]."""
     network = SensorNetwork(A=[[a]], Q=[[1.0]], C=[np.empty((0, 1))], R=[np.empty((0, 0))], edges=[])
-    return Deployed(
-        network, np.array([0, 1]), np.array([0]), np.array([weight]), np.array([0, 0]), np.empty((0, 1))
-    )
+    return Deployed(network, np.array([0, 1]), np.array([0]), np.array([weight]), np.array([0, 0]), np.empty((0, 1)))
 
 
 def document(deployed: Deployed, *verdicts: Any) -> dict[str, Any]:

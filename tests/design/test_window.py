@@ -78,9 +78,9 @@ def test_progress_ends_at_the_total():
 
 def test_misuse_is_refused_at_once():
     network = odd_network()
-    with pytest.raises(InputError, match="budget.power is no known budget"):
+    with pytest.raises(InputError, match=r"budget\.power is no known budget"):
         choose_window(network, {"power": 1})
-    with pytest.raises(InputError, match="budget.bytes is 10; a link needs 72 bytes"):
+    with pytest.raises(InputError, match=r"budget\.bytes is 10; a link needs 72 bytes"):
         choose_window(network, {"bytes": 10})
     with pytest.raises(InputError, match="windows is"):
         choose_window(network, windows=(0, 1))

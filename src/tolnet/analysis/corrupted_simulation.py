@@ -17,8 +17,8 @@ from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
 from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, DseaCp
-from tolnet.analysis.stacked import definite, inverse
 from tolnet.analysis.corrupted_truth import Truth, walk_corrupted
+from tolnet.analysis.stacked import definite, inverse
 from tolnet.model import CorruptedNetwork, UnsupportedError
 from tolnet.model.corrupted_simulation import CorruptedSimulation
 
@@ -52,9 +52,9 @@ def simulate_corrupted(
 
     Every filter sees the same state, measurements and channel noise, which are as large as the network's bounds and
     network.simulation allow (`walk_corrupted`). `filters` names some of CHANNEL_FILTERS, all without; DRKF-SWF takes
-    its window and intervals (one for all, or one a node) from the network unless they are given. With `shared_path` all runs meet one path of noise on matrices, and P of
-    DRKF and DRKF-SWF bounds their covariances given that path (Definition 2.2); else every run has a path of its own,
-    and the mean of P bounds the mean square error. `progress(done, total)` counts runs.
+    its window and intervals (one for all, or one a node) from the network unless they are given. With `shared_path`
+    all runs meet one path of noise on matrices, and P of DRKF and DRKF-SWF bounds their covariances given that path
+    (Definition 2.2); else every run has a path of its own, and the mean of P bounds the mean square error. `progress(done, total)` counts runs.
     Raises UnsupportedError for an unknown filter, ValueError for fewer than 2 runs or 1 step, a window below 1 or an
     interval below 0 (never), InputError where network.simulation contradicts the bounds.
     Source: eqs. (1)-(4), (13)-(18); docs/mathematics.md, sections 13.7 and 13.8.

@@ -8,7 +8,7 @@ One step from k - 1 to k at every node i, with pairs (i, j) for everything that 
     exchange       Pcheck_ij = P~_j + D_ij + Dbar_ij + Wbar_ij  (j != i),   Pcheck_ii = P~_i              eq. (3)
     fusion         P_i       = (sum_j a_ij Pcheck_ij^-1)^-1                               eq. (5)
 
-with A, F, Q, mu and Pi on the right of the first two of instant k - 1. Leading axes of P (runs, say) are carried along.
+with A, F, Q, mu and Pi on the right of the first two of instant k - 1. Leading axes of P (runs, say) are carried on.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ periodic solution, it attracts every P_0 > 0, and a residual turns into a two-si
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from tolnet.analysis.fading_information import rows_given_moment
 from tolnet.analysis.lost_modes import lost_modes
 from tolnet.analysis.second_moment import Moment, SecondMomentLimit, second_moment_limit, second_moments
 from tolnet.analysis.stacked import symmetric_part
-from tolnet.model import CorruptedNetwork, InputError, Status, UnsupportedError
+from tolnet.model import CorruptedNetwork, InputError, Status
 from tolnet.model.drkf import CHANNELS, SIGNS, Channel, DrkfHistory, DrkfSteadyState
 
 Progress = Callable[[int, int], None]
@@ -56,7 +56,8 @@ def solve_drkf(
 
     `channel` says which noise on the matrices is realised on every link: the largest that its bound admits ("worst":
     P of any realisation is eventually below this one), none ("clean"), or the least ("best"), which is also the
-    filter that sends no matrices and takes them from this table. The recursion is followed from P = 0, below all its orbits, until it settles; the error is then bounded from both sides.
+    filter that sends no matrices and takes them from this table. The recursion is followed from P = 0, below all its
+    orbits, until it settles; the error is then bounded from both sides.
     Assumes nothing: `undetectable` where a mode that does not decay is seen by nobody in the long run, `diverges`
     where the multiplicative noise acts on a growing direction, `not-converged` where six digits were not reached.
     Raises UnsupportedError for functions of k, InputError for an unknown channel.

@@ -73,7 +73,7 @@ def minimise(
     Stops at a relative duality gap of `gap`; where it cannot get there, with the best weights that it met.
     """
     at = _start(Omega, M, constrained)
-    B, J, n, _ = Omega.shape
+    B, _, n, _ = Omega.shape
     m = at.S.shape[1]
     best = Solution(at.delta.copy(), np.zeros((B, n, n)), np.zeros(B, dtype=int))
     score, waiting = np.full(B, np.inf), np.zeros(B, dtype=int)
@@ -334,7 +334,7 @@ def _combine(weights: Float[ndarray, "B J"], Omega: Float[ndarray, "B J n n"]) -
 def _between(
     X: Float[ndarray, "B n n"], side_by_side: Float[ndarray, "B n Jn"], Y: Float[ndarray, "B n n"]
 ) -> ndarray:
-    """X Omega_j Y of every j, one a column: (B, n n, J). Two products with wide matrices instead of 2 J small ones."""
+    """X Omega_j Y of every j, one a column: (B, n n, J). Two products with wide matrices, not 2 J small ones."""
     B, n, _ = X.shape
     product = (X @ side_by_side).reshape(B, -1, n) @ Y
     return np.moveaxis(product.reshape(B, n, -1, n), 2, 3).reshape(B, n * n, -1)

@@ -72,7 +72,6 @@ class _Path(NamedTuple):
             factors = self.lengthened(one, factors)
         return factors
 
-
     def windows_from(self, starts: Int[ndarray, " k"], L: int) -> Float[ndarray, "k N n n"]:
         """Factors of every node for the windows that begin at `starts`."""
         K = len(self.Y)
@@ -97,8 +96,8 @@ def robust_observability(
     `form` "sharp" has Rt = R + phi C Pi_s C' with the second moment itself, eq. (11), "stated" has R + phi pi_s C C'
     with the recursion of its norm, eq. (6), and "classical" tau = 1, phi = 0. With a `horizon` H the windows lie
     within 0..H; without one they begin at every k = 0, 1, ..., of a periodic network: until the second moment is at
-    its limit, and in the limit, where a fading sensor that sees a growing direction counts for nothing. `window` is L;
-    None takes the smallest for which the condition holds, at most n periods (after which nothing new is seen).
+    its limit, and in the limit, where a fading sensor that sees a growing direction counts for nothing. `window` is
+    L; None takes the smallest for which the condition holds, at most n periods (after which nothing new is seen).
     Raises UnsupportedError for functions of k without a horizon; InputError for an unknown form or a window that is
     below 1 or longer than the horizon.
     Source: Assumption 3.1 and Lemma 3.4; docs/mathematics.md, section 13.3.
@@ -205,7 +204,7 @@ def _longest(network: CorruptedNetwork, horizon: int | None) -> int:
 
 
 def _find_window(path: _Path, window: int | None, longest: int) -> tuple[int, list[float]]:
-    """The window asked for, or the smallest for which all windows see everything, or n where none does; alpha by L."""
+    """The window asked for, or the smallest for which all see everything, or n where none does; alpha by L."""
     one, n = path.Y.reshape(len(path.Y), -1, path.A.shape[1]), path.A.shape[1]
     shown = min(max(n, window or 0), longest)
     factors, by_window, first = triangle(one), [], None
@@ -218,7 +217,7 @@ def _find_window(path: _Path, window: int | None, longest: int) -> tuple[int, li
         alpha, seen = smallest(factors)
         by_window.append(float(alpha.min()))
         first = L if first is None and seen.all() else first
-        if L >= shown and (first is not None or window is not None or doomed):
+        if shown <= L and (first is not None or window is not None or doomed):
             break
     return window or first or shown, by_window
 
@@ -236,7 +235,7 @@ def _ever_seen(path: _Path, longest: int) -> bool:
     following = np.append(np.arange(1, K), K - path.limit)
     factors, Phi, L = triangle(one), path.A, 1
     with np.errstate(over="ignore", invalid="ignore"):
-        while L < longest:
+        while longest > L:
             size = np.maximum(np.abs(Phi).max(axis=(1, 2), keepdims=True), 1e-300)
             factors = triangle(np.concatenate([factors, factors[following] @ Phi], axis=1))
             Phi = (Phi / size)[following] @ Phi  # directions matter here, sizes do not

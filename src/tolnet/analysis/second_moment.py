@@ -27,14 +27,14 @@ _HUGE = 1e100  # beyond this the growing directions count as infinite, long befo
 _GROWN = 1e12  # and here they have grown so far that a fading sensor sees nothing along them
 _SETTLED = 1e-12  # how close to its limit the bounded part must be to count as there
 _PATIENCE = 2000  # instants after which it counts as there in any case: what grows like a power of k takes long
-_ROOM = 20_000_000  # numbers in the rows of all nodes over those instants; large networks wait less, but for a hundred
+_ROOM = 20_000_000  # numbers in the rows of all nodes over those instants; large networks wait less, but for 100
 
 
 class Moment(NamedTuple):
     """The second moment at one instant: `Pi`, plus infinity along the orthonormal columns of `U`, where it has any.
 
-    `bounded` is Pi modulo the directions that grow, by a recursion of its own: when Pi has grown by 1e16, nothing else
-    of it is left in doubles, and mu F Pi F' formed from it would be rounding.
+    `bounded` is Pi modulo the directions that grow, by a recursion of its own: when Pi has grown by 1e16, nothing
+    else of it is left in doubles, and mu F Pi F' formed from it would be rounding.
     """
 
     Pi: Float[ndarray, "n n"]

@@ -68,7 +68,7 @@ def block_candidate(
 def power_candidate(
     M: Float[ndarray, "N n n"], mixing: sparse.csr_array, power: int, progress: Progress | None = None
 ) -> PowerCandidate | None:
-    """X and shares p_kl with X_k - sum_l p_kl^-1 (F^j)_kl X_l (F^j)_kl' > 0, or None. Assumes a network of moderate size.
+    """X and shares p_kl with X_k - sum_l p_kl^-1 (F^j)_kl X_l (F^j)_kl' > 0, or None. Assumes a moderate size.
 
     For given X the best shares, in the trace weighted by X_k^-1, are p_kl ~ |X_k^-1/2 (F^j)_kl X_l^1/2|.
     """
@@ -204,7 +204,7 @@ def network_matrix(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> Floa
 
 
 def network_radius(M: Float[ndarray, "N n n"], mixing: sparse.csr_array) -> float:
-    """Spectral radius of the network block: dense eigenvalues when small, else Arnoldi's method; NaN where it fails."""
+    """Spectral radius of the network block: dense eigenvalues if small, else Arnoldi's method; NaN where it fails."""
     N, n, _ = M.shape
     if N * n <= _DENSE_RADIUS_UP_TO:
         return float(np.abs(np.linalg.eigvals(network_matrix(M, mixing))).max(initial=0.0))
@@ -295,7 +295,7 @@ def _fixed_point(
 def _solved(
     image: Callable[[ndarray], ndarray], E: Float[ndarray, "N n n"], unit: Float[ndarray, " n"]
 ) -> Float[ndarray, "N n n"] | None:
-    """(I - T)^-1 E by a dense solve over the upper triangles, in units of the states; None where it is no covariance."""
+    """(I - T)^-1 E by a dense solve over upper triangles, in units of the states; None where it is no covariance."""
     N, n, _ = E.shape
     i, j = np.triu_indices(n)
     d = N * len(i)

@@ -76,7 +76,7 @@ def restore_steady_state(
     V: Float[ndarray, "n n"],
     theta: float,
 ) -> SteadyState:
-    """The centre's steady state from numbers that were stored; nothing is solved, and its residuals say how good it is.
+    """The centre's steady state from stored numbers; nothing is solved, and its residuals say how good it is.
 
     Radii and iterations, which are not stored, are NaN and 0. Tau is 0.
     """

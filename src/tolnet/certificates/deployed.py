@@ -90,7 +90,7 @@ class Deployed:
 
     @cached_property
     def loops(self) -> tuple[Float[ndarray, "N n n"], Float[ndarray, "N n n"]]:
-        """M_k = A - G_k C_k^loc in floating point, and |A| + |G_k| |C_k^loc|, of which its rounding is a small part."""
+        """M_k = A - G_k C_k^loc in floating point; |A| + |G_k| |C_k^loc|, of which its rounding is a small part."""
         A, C = self.network.A, self.network.C
         M = np.broadcast_to(A, (self.N, *A.shape)).copy()
         size = np.broadcast_to(np.abs(A), M.shape).copy()

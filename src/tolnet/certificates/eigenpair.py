@@ -33,7 +33,7 @@ MOST = 7000
 
 
 def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: ndarray) -> Refuted | Undecided:
-    """Decide whether an exact eigenvalue of the network block lies near an approximate one outside the unit circle."""
+    """Decide whether an exact eigenvalue of the network block lies near one found outside the unit circle."""
     block = {"block": "network" if deployed.centre is None else "F"}
     statement = statements.instability("network")
     if len(mode) > MOST:

@@ -118,7 +118,7 @@ def _trailing_zeros(whole: ndarray) -> ndarray:
 
 
 def _eliminates(D: ndarray) -> Bool[ndarray, " K"]:
-    """Fraction-free elimination (E. H. Bareiss, Math. Comp. 22, 1968): positive pivots are positive leading minors."""
+    """Fraction-free elimination (E. H. Bareiss, Math. Comp. 22, 1968): pivots are leading principal minors."""
     D = D.copy()
     good = np.ones(len(D), dtype=bool)
     previous = np.full(len(D), 1, dtype=object)
@@ -138,7 +138,7 @@ def _eliminates(D: ndarray) -> Bool[ndarray, " K"]:
 def _dominates(D: Exact) -> bool:
     """Whether L D L' is strictly diagonally dominant with a positive diagonal for a rounded L near chol(D)^-1.
 
-    Then L D L' is positive definite (Gershgorin), so L is regular and D positive definite too. L need not be accurate.
+    Then L D L' is positive definite (Gershgorin), so L is regular and D definite too. L need not be accurate.
     """
     approximate = D.rounded()
     scale = np.sqrt(np.maximum(np.diagonal(approximate), 0))

@@ -1,4 +1,4 @@
-"""The claims about single filters: which exact problem each speaks of, and the door to what proves and verifies it."""
+"""The claims about single filters: which exact problem each speaks of, and the door to its proof and verification."""
 
 from __future__ import annotations
 

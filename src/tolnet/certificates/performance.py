@@ -1,4 +1,4 @@
-"""Mean square deviations, enclosed in exact arithmetic from a solution of the Lyapunov equation (docs/certificate.md).
+"""Mean square deviations, enclosed exactly from a solution of the Lyapunov equation (docs/certificate.md).
 
 1.  Z = F Q F' + G G' - Q exactly, and +-Z <= diag(z), z_i = sum_j |Z_ij| t_j / t_i for any t > 0
 2.  z <= e X block by block
@@ -21,8 +21,8 @@ from tolnet.certificates.exact import Exact
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
 from tolnet.certificates.stability import (
     ExactNetwork,
-    has_positive_diagonal,
     exact_network_matrix,
+    has_positive_diagonal,
     process_covariance,
 )
 from tolnet.certificates.verdicts import Proved, Undecided
@@ -43,7 +43,7 @@ def prove_performance(
 ) -> Proved | Undecided:
     """Enclose MSD_k = tr Q_kk of Q = F Q F' + G G', (N + 1) n square, for every node, from an approximate solution.
 
-    X with X - T(X) > 0 for the network block and `centre` with X - F_e X F_e' > 0 are candidates of a stability proof.
+    X with X - T(X) > 0 for the network block and `centre` with X - F_e X F_e' > 0 come from a stability proof.
     Source: docs/certificate.md, `performance`; docs/mathematics.md, section 11.
     """
     deployed = network.deployed

@@ -164,7 +164,7 @@ def prove_stability(
 
 
 def has_positive_diagonal(X: Float[ndarray, "*shape"]) -> bool:
-    """Whether X is finite with a positive diagonal, as all that is positive definite is; only then can it be rounded."""
+    """Whether X is finite with a positive diagonal, as whatever is definite has; only then can it be rounded."""
     return bool(np.isfinite(X).all() and (np.diagonal(X, axis1=-2, axis2=-1) > 0).all())
 
 
@@ -332,7 +332,7 @@ def refute_stability(
     X: Float[ndarray, "d d"],
     v: Float[ndarray, " d"],
 ) -> Refuted | Undecided:
-    """Decide exactly whether f' X f - X > 0 and v' X v > 0, so that some eigenvalue of f lies outside the unit circle.
+    """Decide exactly whether f' X f - X > 0 and v' X v > 0: then some eigenvalue of f lies outside the unit circle.
 
     f is the network block A, or the least favourable block F_e.
     Source: docs/certificate.md, `schur-stability`; docs/mathematics.md, section 11.

@@ -41,8 +41,8 @@ def _stays_stable() -> str:
 def performance(low: float, high: float) -> str:
     """Of `performance`."""
     return (
-        f"Under the stated least favourable model the mean square deviation of the network lies in [{low!r}, {high!r}],"
-        " and that of every node in its interval."
+        "Under the stated least favourable model the mean square deviation of the network lies in"
+        f" [{low!r}, {high!r}], and that of every node in its interval."
     )
 
 

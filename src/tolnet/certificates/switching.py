@@ -1,7 +1,7 @@
 """Stability however a network switches among scenarios, or loses links and finds them again (docs/certificate.md).
 
-One Y for all:  Y_l > 0,  (1 - d) Y_l - M_l' (sum_k sigma_k |w_lk| Y_k) M_l > 0  for every node l and every scenario, so
-x' diag(Y) x falls in every step, whatever the order. When links drop, the condition of l changes with the links at l only:
+One Y for all:  Y_l > 0,  (1 - d) Y_l - M_l' (sum_k sigma_k |w_lk| Y_k) M_l > 0  for every node l and scenario, so
+x' diag(Y) x falls in every step, whatever the order. When links drop, the condition of l changes with its own only:
 
     w_ll + sum_lost w_jl,   M_l + sum_lost G_lj C_j,   and no term of a k that hears l no more
 """
@@ -112,7 +112,7 @@ def _first_failure(images: _LossImages, Y: Exact, node: ndarray, d: float) -> in
 def prove_scenarios(
     network: ExactNetwork, Y: Float[ndarray, "N n n"], scenarios: Sequence[Scenario], margin: float
 ) -> Proved | Undecided:
-    """Decide exactly whether Y proves stability under arbitrary switching among the scenarios and the nominal network.
+    """Decide exactly whether Y proves stability under switching at will among the scenarios and the nominal network.
 
     Source: docs/certificate.md, `switching`.
     """

@@ -19,7 +19,7 @@ from numpy import ndarray
 from scipy import sparse
 
 _ACCURACY = 1e-10
-"""What the interior-point method is asked for; its own default of 1e-8 leaves errors above 1e-6 in degenerate cases."""
+"""What the interior-point method is asked for; its default of 1e-8 leaves errors above 1e-6 in degenerate cases."""
 _STEPS = 200
 
 

@@ -2,8 +2,8 @@
 
     X_k - sum_l w_lk M_l X_l M_l' > 0 for every node k                                    (docs/mathematics.md, 11.2)
 
-is linear in W for fixed X, and separates by node: the nearest admissible column is a small semidefinite programme. It is
-linear in X for fixed W. Alternating from W = I, which is always stable, never moves away from the proposal.
+is linear in W for fixed X, and separates by node: the nearest admissible column is a small semidefinite program. It
+is linear in X for fixed W. Alternating from W = I, which is always stable, never moves away from the proposal.
 """
 
 from __future__ import annotations

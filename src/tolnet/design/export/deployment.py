@@ -32,7 +32,7 @@ class Deployment:
 
     @classmethod
     def of(cls, table: ToleranceTable, W: sparse.csr_array | None = None) -> Deployment:
-        """Pack G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1 and column k of W, for every node k; W as the problem has it."""
+        """Pack G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1 and column k of W for every node; W None: the own one."""
         network = table.network
         heard = network.adjacency.tocsc()
         heard.sort_indices()
