@@ -28,9 +28,9 @@ from tolnet.model import (
     Status,
     SteadyState,
 )
+from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor
 from tolnet.model.graph import COLUMN_SUM_TOLERANCE
 from tolnet.model.sensors import whiten
-from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor
 
 
 def error_dynamics(

@@ -20,8 +20,8 @@ from numpy import ndarray
 from numpy.random import Generator
 
 from tolnet.model import LeastFavourableModel, SensorNetwork
-from tolnet.model.sensors import Packed
 from tolnet.model.covariances import psd_factor
+from tolnet.model.sensors import Packed
 
 
 class Instant(NamedTuple):
