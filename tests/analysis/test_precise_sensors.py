@@ -1,4 +1,4 @@
-"""Sensors far more precise than what they measure is uncertain: six digits, or a status that says so."""
+"""Sensors far more precise than the prediction: six digits, or a status that says so, never a crash."""
 
 from __future__ import annotations
 

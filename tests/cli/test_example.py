@@ -69,7 +69,7 @@ def test_a_large_one_is_a_file_and_an_archive(tolnet: Tolnet, tmp_path: Path):
         (["ieee14", "--nodes", "5"], "only 'random' takes nodes"),
         (["ieee14", "--seed", "5"], "takes no seed"),
         (["random", "--nodes", "0"], "--nodes"),
-        (["--nodes", "5"], "NAME is missing: one of projectile, ieee14, random"),
+        (["--nodes", "5"], f"NAME is missing: one of {', '.join(model.example_names())}"),
         (["projectile", "-o", "projectile.json"], "has the suffix '.json'; .toml was expected"),
         (["projectile", "-o", "nowhere/p.toml"], "nowhere does not exist"),
     ],
