@@ -187,3 +187,27 @@ def test_functions_of_k_need_a_horizon():
 def test_refusals(given: dict[str, Any], said: str):
     with pytest.raises(InputError, match=said):
         robust_observability(network_of(), **given)
+
+
+def test_windows_from_some_starts_are_those_windows():
+    import tolnet.analysis.observability as module
+    from tolnet.analysis.second_moment import second_moment_limit
+
+    for seed in range(4):
+        network = drawn(seed)
+        limit = second_moment_limit(network)
+        for horizon in (None, 7):
+            path = module._path(network, "sharp", horizon, limit)
+            every = path.windows(path.Y, 3)
+            starts = np.arange(len(every))[::2]
+            for one, other in zip(path.windows_from(starts, 3), every[starts], strict=True):
+                np.testing.assert_allclose(one.mT @ one, other.mT @ other, atol=1e-9 * np.abs(other).max() ** 2)
+
+
+def test_in_large_networks_the_weakest_windows_decide(monkeypatch: pytest.MonkeyPatch):
+    network = field()
+    found = robust_observability(network, horizon=100, window=2)
+    monkeypatch.setattr("tolnet.analysis.observability._EVERY_START", 40)
+    fewer = robust_observability(network, horizon=100, window=2)
+    for key in ("alpha_without_node", "alpha_of_node", "alpha_with_copy"):
+        np.testing.assert_allclose(getattr(fewer, key), getattr(found, key), rtol=1e-9, atol=1e-15)

@@ -104,7 +104,9 @@ def test_channel_options_need_channels(tolnet: Tolnet, small: Path):
 def test_a_window_of_nothing_in_a_file_is_refused_with_its_key(command: str, tolnet: Tolnet, tmp_path: Path):
     path = tmp_path / "field.toml"
     model.save(model.example("field"), path)
-    path.write_text(path.read_text() + "\n[fusion]\nwindow = 0\n")
+    text = path.read_text()
+    assert text.count("[fusion]\n") == 1
+    path.write_text(text.replace("[fusion]\n", "[fusion]\nwindow = 0\n"))
     ran = tolnet(command, path)
     assert ran.code == 2
     assert "field.toml: fusion.window is 0" in ran.err

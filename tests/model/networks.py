@@ -64,9 +64,10 @@ def arguments(draw: st.DrawFn) -> dict[str, Any]:
     return values | {key: make() for key, make in optional.items() if draw(st.booleans())}
 
 
+TOLERANCES = st.just(0.0) | st.floats(1e-200, 1e10)
 ambiguities = st.one_of(
-    st.builds(Ambiguity, st.floats(0, 1e300), st.sampled_from(["gamma", "nats"])),
-    st.builds(Ambiguity, st.floats(0, 1e300), st.just("gamma"), st.floats(0, 1)),
+    st.builds(Ambiguity, TOLERANCES, st.sampled_from(["gamma", "nats"])),
+    st.builds(Ambiguity, TOLERANCES, st.just("gamma"), st.floats(0, 1)),
 )
 
 

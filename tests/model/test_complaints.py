@@ -114,6 +114,8 @@ FAULTS: list[tuple[tuple[Any, ...], Any, str, str]] = [
     (("ambiguity", "tolerance"), -0.1, "ambiguity.tolerance", "is -0.1; a number >= 0 was expected"),
     (("ambiguity", "tolerance"), NAN, "ambiguity.tolerance", "is nan; a finite number was expected"),
     (("ambiguity", "tolerance"), INF, "ambiguity.tolerance", "is inf; a finite number was expected"),
+    (("ambiguity", "tolerance"), 1e300, "ambiguity.tolerance", "0, or a number from 1e-200 to 1e+10, was expected"),
+    (("ambiguity", "tolerance"), 1e-310, "ambiguity.tolerance", "0, or a number from 1e-200 to 1e+10, was expected"),
     (("ambiguity", "tolerance"), False, "ambiguity.tolerance", "is false; a number was expected"),
     (("ambiguity",), {}, "ambiguity.tolerance", "is missing: radius c of the ball"),
     (("ambiguity", "convention"), "bits", "ambiguity.convention", "is 'bits'; 'gamma' or 'nats' was expected"),

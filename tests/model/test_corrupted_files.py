@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import random
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -246,3 +248,43 @@ def test_the_built_in_problems_are_those_of_their_scripts(tmp_path: Path):
     kinds = {tuple(row) for row in large.C(0)}
     assert len(kinds) == 4
     assert large.adjacency.nnz == (large.adjacency.T).nnz
+
+
+ODD: list[Any] = [
+    None, 0, -1, 1.5, 1e308, float("nan"), float("inf"), "x", True, 10**400, [], [[]], [[[]]], [[[1.0]]], [1.0, 2.0],
+    [[1.0, 2.0]], {}, {"array": "x"}, [[1.0, 0.0], [0.0, 1.0]], [[[1.0, 0.0], [0.0, 1.0]]], [None], [{}], {"from": 0},
+    [[1.0], [1.0, 2.0]], [[[1.0, 0.0], [0.0, 1.0]], [[1.0]]],
+]  # fmt: skip
+
+
+def places(value: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every key path of a file."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [place, *(deeper for key, item in items for deeper in places(item, (*place, key)))]
+
+
+@pytest.mark.filterwarnings("ignore::tolnet.model.LooseBoundWarning")
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_stands_in_a_file_is_read_or_refused(seed: int):
+    generator = random.Random(seed)
+    everywhere = places(tomllib.loads(GOOD))[1:]
+    refused, accepted = 0, 0
+    for _ in range(150):
+        problem: Any = tomllib.loads(GOOD)
+        for _ in range(generator.choice([1, 1, 2, 3])):
+            *way, last = generator.choice(everywhere)
+            table = problem
+            try:
+                for step in way:
+                    table = table[step]
+                table[last] = copy.deepcopy(generator.choice(ODD))
+            except (KeyError, IndexError, TypeError):
+                continue  # an earlier change took the place away
+        try:
+            model.parse_corrupted(problem)
+        except InputError as error:
+            refused += bool(error.complaints)
+        else:
+            accepted += 1
+    assert refused + accepted == 150
+    assert refused > 100

@@ -87,7 +87,9 @@ class Csgf(ChannelFilter):
             rows = network.rows[nodes, None] + np.arange(own.shape[1])
             sensed[:, nodes] = (drawn.y[:, rows, None] * C[rows]).sum(axis=2)
         heard = sum_by_receiver(network, sensed[:, senders, :, None])[..., 0]
-        mixed = sum_by_receiver(network, network.fusion.data[:, None, None] * (self.x[:, senders] + drawn.e)[..., None])
+        mixed = sum_by_receiver(
+            network, network.fusion.data[:, None, None] * (self.x[:, senders] + drawn.e)[..., None]
+        )
         seen = sum_by_receiver(network, _squares(moment.now)[senders])
         predicted = self.x @ A.T
         self.x = mixed[..., 0] @ A.T + self.gain * (heard - (seen @ predicted[..., None])[..., 0])

@@ -260,9 +260,7 @@ class _Record:
         )
 
 
-def _map(
-    job: _Job, sizes: list[int], children: list[np.random.SeedSequence], workers: int
-) -> Iterator[list[_Sums]]:
+def _map(job: _Job, sizes: list[int], children: list[np.random.SeedSequence], workers: int) -> Iterator[list[_Sums]]:
     """Batch after batch, in order, on as many processes as asked for."""
     if workers == 1 or len(sizes) == 1:
         return (job(size, child) for size, child in zip(sizes, children, strict=True))

@@ -199,7 +199,9 @@ def _refused(network: CorruptedNetwork, limit: SecondMomentLimit) -> tuple[Statu
     states = network.states or tuple(f"x{j + 1}" for j in range(network.n))
     mode = lost[0]
     along = " ".join(f"{x:+.3g} {state}" for x, state in zip(mode.direction, states, strict=True) if abs(x) > 1e-6)
-    seen = f"only by fading sensors (nodes {', '.join(map(network.label, mode.nodes))})" if mode.nodes else "by nobody"
+    seen = (
+        f"only by fading sensors (nodes {', '.join(map(network.label, mode.nodes))})" if mode.nodes else "by nobody"
+    )
     return Status.UNDETECTABLE, f"the mode along {along} does not decay and is seen {seen}"
 
 

@@ -39,7 +39,9 @@ def error_bound(
     Source: Theorem 3.1 and its proof, eqs. (37)-(41); docs/mathematics.md, section 13.4.
     """
     if network.N > LARGEST:
-        raise UnsupportedError(f"the constant needs powers of the fusion weights of {network.N} nodes; {LARGEST} at most")
+        raise UnsupportedError(
+            f"the constant needs powers of the fusion weights of {network.N} nodes; {LARGEST} at most"
+        )
     seen = observability
     if seen is None or seen.form != "sharp" or seen.horizon != horizon or window not in (None, seen.window):
         seen = robust_observability(network, horizon=horizon, window=window)

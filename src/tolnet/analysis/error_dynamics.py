@@ -30,7 +30,7 @@ from tolnet.model import (
 )
 from tolnet.model.graph import COLUMN_SUM_TOLERANCE
 from tolnet.model.sensors import whiten
-from tolnet.model.worst_case import psd_factor
+from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor
 
 
 def error_dynamics(
@@ -75,10 +75,13 @@ def filter_errors(
     Assumes a model without time axis: `model[t]` of a finite horizon.
     """
     network = model.network
-    A, Q, n = network.A, network.Q, network.n
-    VS = np.eye(n) + V @ S
-    loops = A @ np.linalg.solve(VS, np.broadcast_to(np.eye(n), V.shape))
-    AZ, AZ_centre = A @ np.linalg.solve(VS, V), A @ model.filtered
+    A, Q = network.A, network.Q
+    posterior = condition(V, S)
+    lost = ~(posterior.error <= SIX_DIGITS)
+    if model.exists and lost.any() and np.isfinite(V).all():
+        status, reason = Status.NOT_CONVERGED, TOO_PRECISE
+    loops = A @ np.where(lost[:, None, None], np.nan, posterior.loop)
+    AZ, AZ_centre = A @ posterior.covariance, A @ model.filtered
     E = Q + AZ @ S @ AZ_centre.T
     channels, owner = _channels(network)
     Y = _without_zeros(psd_factor(model.tilt)) if model.exists else model.tilt

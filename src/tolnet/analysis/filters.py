@@ -173,6 +173,10 @@ def _history(
     blocks = (K + 1, n, (K + 1) * n)
     for t, gains in enumerate(follow_gains(table, kind, S, T)):
         dynamics = filter_errors(model[t], gains.at.V, S, heard, mixing)
+        if not dynamics.exists:
+            node_msd[:], theta[:], tolerance[:] = np.nan, np.nan, np.nan
+            status, reason = dynamics.status, f"at step {t} {dynamics.reason}"
+            break
         FQ = dynamics.step(Q.reshape(blocks)).reshape(Q.shape)
         Q = dynamics.step(FQ.T.reshape(blocks)).reshape(Q.shape)
         Q = (Q + Q.T) / 2 + dynamics.noise_matrix()

@@ -331,7 +331,9 @@ def _combine(weights: Float[ndarray, "B J"], Omega: Float[ndarray, "B J n n"]) -
     return (weights[:, None, :] @ Omega.reshape(B, J, n * n)).reshape(B, n, n)
 
 
-def _between(X: Float[ndarray, "B n n"], side_by_side: Float[ndarray, "B n Jn"], Y: Float[ndarray, "B n n"]) -> ndarray:
+def _between(
+    X: Float[ndarray, "B n n"], side_by_side: Float[ndarray, "B n Jn"], Y: Float[ndarray, "B n n"]
+) -> ndarray:
     """X Omega_j Y of every j, one a column: (B, n n, J). Two products with wide matrices instead of 2 J small ones."""
     B, n, _ = X.shape
     product = (X @ side_by_side).reshape(B, -1, n) @ Y

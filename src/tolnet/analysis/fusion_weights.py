@@ -69,7 +69,7 @@ def solve_fusion_weights(
 
 
 class Frame(NamedTuple):
-    """The problem in the coordinates x = T y in which Omega of the start is the identity, eq. (13.6.2).
+    """The problem in the coordinates x = T y in which Omega of the start is the identity (section 13.6).
 
     There tr P is tr(M P), M = T' T, which is divided by its trace: the objective starts at 1.
     """
@@ -98,7 +98,9 @@ def frame(information: Float[ndarray, "B J n n"], start: Float[ndarray, "B J"]) 
 def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[ndarray, "*B J"] | None) -> None:
     """Refuse what is no stack of problems. Raises InputError or ShapeError, with the index of the first culprit."""
     if information.ndim < 3 or information.shape[-1] != information.shape[-2] or 0 in information.shape[-3:]:
-        raise ShapeError(f"information has shape {information.shape}; (..., J, n, n) was expected, J and n at least 1")
+        raise ShapeError(
+            f"information has shape {information.shape}; (..., J, n, n) was expected, J and n at least 1"
+        )
     scale = np.sqrt(np.einsum("...ii->...i", np.abs(information)))
     with np.errstate(invalid="ignore"):
         skew = np.abs(information - information.mT) > _ASYMMETRY * scale[..., :, None] * scale[..., None, :]
@@ -110,7 +112,9 @@ def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[nda
         raise ShapeError(f"reference has shape {reference.shape}; {information.shape[:-2]} was expected")
     off = ~(reference >= 0) | (np.abs(reference.sum(axis=-1, keepdims=True) - 1) > 1e-9)
     if off.any():
-        raise InputError(f"reference{_place(off.any(axis=-1)[..., None, None])} is no set of weights >= 0 that sum to one")
+        raise InputError(
+            f"reference{_place(off.any(axis=-1)[..., None, None])} is no set of weights >= 0 that sum to one"
+        )
 
 
 def _place(culprits: ndarray) -> str:
@@ -152,7 +156,12 @@ def _minimise(
         Z[usable] = within.back(found.multiplier, usable)
     found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
     return FusionWeights(
-        information, reference, weights, lower_bound(information, reference, found.covariance, Z), iterations, "newton"
+        information,
+        reference,
+        weights,
+        lower_bound(information, reference, found.covariance, Z),
+        iterations,
+        "newton",
     )
 
 

@@ -25,10 +25,8 @@ from tolnet.analysis.lyapunov_dense import data_error, solve_smith
 from tolnet.analysis.stacked import spectral_radius
 from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
-from tolnet.model.worst_case import psd_factor, standard_deviations
+from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor, standard_deviations
 
-_ACCEPTED = 1e-6
-"""Estimated relative error of R beyond which there is no answer."""
 _GRID, _ROUNDS = 32, 6
 """The fold is bracketed in c by grids of this many points, that many times over."""
 
@@ -40,9 +38,9 @@ def least_favourable_model(
 
     `central` is the centralised robust filter's steady state. With `horizon` T the model is time-varying: V_t and
     theta_t forwards from the network's initial covariance at the tolerance of `central`, t = 0..T-1, then Omega_t^-1
-    backwards from Omega_T^-1 = 0; that exists for every tolerance. theta = 0 gives the nominal model. No steady model
-    is a status with a reason: `fold` where c is at or beyond the centre's fold, `not-converged` where six digits are
-    lost to rounding, or the centre's own where it has no steady state; `oscillates` is passed on, with numbers.
+    backwards from Omega_T^-1 = 0; that exists for every tolerance. theta = 0 gives the nominal model. No model is a
+    status with a reason: `fold` where c is at or beyond the centre's fold, `not-converged` where six digits are lost
+    to rounding, or the centre's own where it has no steady state; `oscillates` is passed on, with numbers.
     Raises UnsupportedError for tau != 0, ValueError for a horizon below 1.
     Source: eq. (34) and the recursion above it; docs/mathematics.md, section 7.
     """
@@ -53,15 +51,18 @@ def least_favourable_model(
             raise ValueError(f"horizon is {horizon}; at least one step was expected")
         return _finite_horizon(network, float(central.tolerance), horizon)
     if not central.exists:
-        return _none(network, central, Status(str(central.status)), "the centralised filter has no steady state")
+        status = Status(str(central.status))
+        return _none(network, float(central.tolerance), status, "the centralised filter has no steady state")
     return _steady(network, central)
 
 
 def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableModel:
     c, P, V = float(central.tolerance), central.P, central.V
+    if not condition(V, central.S).error <= SIX_DIGITS:
+        return _none(network, c, Status.NOT_CONVERGED, TOO_PRECISE)
     if not spectral_radius(_loop_at_theta(network.A, central.S, V, central.theta)) < 1:
         reason = f"the tolerance {c:g} is not below the centre's fold, {fold_tolerance(network, c):.6g} (gamma scale)"
-        return _none(network, central, Status.FOLD, reason)
+        return _none(network, c, Status.FOLD, reason)
     inverse = _inverse(P)
     L = _smoother_gain(network, central.filtered, P, inverse)
     Delta = solve_smith(L, _growth(central.theta, V, P)).X
@@ -81,17 +82,17 @@ def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableMode
     correction = np.diagonal(solve_smith(model.closed_loop, model.defect).X) / deviation**2
     error = float(np.max(np.abs(correction), where=varies, initial=0.0))
     error = max(error, data_error(float(spectral_radius(model.closed_loop))))
-    if not error <= _ACCEPTED:
+    if not error <= SIX_DIGITS:
         reason = f"the covariance of e has an estimated relative error of {error:.2g} at the tolerance {c:g}"
-        return _none(network, central, Status.NOT_CONVERGED, reason)
+        return _none(network, c, Status.NOT_CONVERGED, reason)
     return model
 
 
-def _none(network: SensorNetwork, central: SteadyState, status: Status, reason: str) -> LeastFavourableModel:
+def _none(network: SensorNetwork, c: float, status: Status, reason: str) -> LeastFavourableModel:
     nan = np.full((network.n, network.n), np.nan)
     return LeastFavourableModel(
         network=network,
-        tolerance=float(central.tolerance),
+        tolerance=c,
         theta=np.asarray(np.nan),
         V=nan,
         error_covariance=nan,
@@ -104,12 +105,14 @@ def _none(network: SensorNetwork, central: SteadyState, status: Status, reason: 
 
 def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourableModel:
     n, A, Q, S = network.n, network.A, network.Q, network.total_information
-    eye = np.eye(n)
-    P, V, Z, theta = np.full((T + 1, n, n), np.nan), np.empty((T + 1, n, n)), np.empty((T, n, n)), np.empty(T)
+    P, V, Z, F = np.full((T + 1, n, n), np.nan), np.empty((T + 1, n, n)), np.empty((T, n, n)), np.empty((T, n, n))
+    theta = np.empty(T)
     V[0] = network.initial_covariance
     for t in range(T):  # eq. (4)
-        Z[t] = np.linalg.solve(eye + V[t] @ S, V[t])
-        Z[t] = (Z[t] + Z[t].T) / 2  # rounding only: the exact matrix is symmetric
+        Z[t], loop, error = condition(V[t], S)
+        if not error <= SIX_DIGITS:
+            return _none(network, c, Status.NOT_CONVERGED, f"at step {t} {TOO_PRECISE}")
+        F[t] = A @ loop
         P[t + 1] = A @ Z[t] @ A.T + Q
         eigenvalues, U = np.linalg.eigh(P[t + 1])
         inflation = inflate(np.maximum(eigenvalues, 0)[None], np.array([c]))
@@ -119,7 +122,7 @@ def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourable
     Delta = _growth(theta[T - 1], V[T], P[T])
     for t in reversed(range(T)):
         inverse = _inverse(P[t + 1])
-        tilt[t] = _tilt(inverse, _loop(network, V[t]), V[t], Delta)
+        tilt[t] = _tilt(inverse, F[t], V[t], Delta)
         L = _smoother_gain(network, Z[t], P[t + 1], inverse)
         grown = L @ Delta @ L.T
         R[t] = V[t] + (grown + grown.T) / 2  # rounding only: the exact matrix is symmetric
@@ -141,8 +144,7 @@ def _finite_horizon(network: SensorNetwork, c: float, T: int) -> LeastFavourable
 
 def _loop(network: SensorNetwork, V: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
     """F = A - G C = A (I + V S)^-1."""
-    eye = np.eye(network.n)
-    return network.A @ np.linalg.solve(eye + V @ network.total_information, eye)
+    return network.A @ condition(V, network.total_information).loop
 
 
 def _growth(theta: float | ndarray, V: Float[ndarray, "n n"], P: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
@@ -199,5 +201,4 @@ def _loop_at_theta(
     A: Float[ndarray, "n n"], S: Float[ndarray, "*K n n"], V: Float[ndarray, "*K n n"], theta: Float[ndarray, "*K"]
 ) -> Float[ndarray, "*K n n"]:
     """A Z P^-1 = A (I + V S)^-1 (I + theta V), the closed loop of the Riccati equation at fixed theta."""
-    eye = np.eye(len(A))
-    return A @ np.linalg.solve(eye + V @ S, eye + theta[..., None, None] * V)
+    return A @ condition(V, S).loop @ (np.eye(len(A)) + theta[..., None, None] * V)

@@ -13,7 +13,7 @@ from tolnet.analysis import lyapunov_dense as dense
 from tolnet.analysis.lyapunov_projected import solve_projected
 from tolnet.analysis.spectrum import Radii, spectral_radii
 from tolnet.model import ErrorDynamics, Performance, Status, UnsupportedError
-from tolnet.model.worst_case import standard_deviations
+from tolnet.model.covariances import standard_deviations
 
 Method = Literal["auto", "projected", "smith", "scipy", "slycot"]
 

@@ -25,7 +25,9 @@ from tolnet.model.observability import FORMS, Form, RobustObservability
 Progress = Callable[[int, int], None]
 
 _SINGULAR = 1e-12  # smallest singular value, columns scaled to one, below which a window sees nothing somewhere
+_FAR, _TOO_FAR = 1e120, 1e150  # rows whose squares are near the end of doubles, and beyond it
 _CHUNK = 2_000_000  # numbers in one stack of factors of all nodes
+_EVERY_START = 100_000  # pairs of a node and a start beyond which nodes are told apart by the weakest starts only
 
 
 class _Path(NamedTuple):
@@ -55,7 +57,13 @@ class _Path(NamedTuple):
         if not len(following):
             return following
         A = self.A[: len(following)].reshape(len(following), *(1,) * (one.ndim - 3), *self.A.shape[1:])
-        return triangle(np.concatenate([one[: len(following)], following @ A], axis=-2))
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows = np.concatenate([one[: len(following)], following @ A], axis=-2)
+        if not np.abs(rows).max(initial=0.0) < _TOO_FAR:
+            raise InputError(
+                "a window is so long that what it sees is beyond the range of doubles; a shorter one was expected"
+            )
+        return triangle(rows)
 
     def windows(self, one: Float[ndarray, "K *N p n"], L: int) -> Float[ndarray, "I *N n n"]:
         """Factors of the windows of L instants, from the rows of single instants."""
@@ -63,6 +71,17 @@ class _Path(NamedTuple):
         for _ in range(L - 1):
             factors = self.lengthened(one, factors)
         return factors
+
+
+    def windows_from(self, starts: Int[ndarray, " k"], L: int) -> Float[ndarray, "k N n n"]:
+        """Factors of every node for the windows that begin at `starts`."""
+        K = len(self.Y)
+        following = np.append(np.arange(1, K), K - self.limit) if self.limit else np.arange(1, K + 1)
+        Phi, rows, at = np.broadcast_to(np.eye(self.A.shape[1]), (len(starts), *self.A.shape[1:])), [], starts
+        for _ in range(L):
+            rows.append(self.Y[at] @ Phi[:, None])
+            Phi, at = self.A[at] @ Phi, following[at]
+        return triangle(np.concatenate(rows, axis=-2))
 
 
 def robust_observability(
@@ -193,6 +212,8 @@ def _find_window(path: _Path, window: int | None, longest: int) -> tuple[int, li
     doomed = window is None and not _ever_seen(path, longest)
     for L in range(1, longest + 1):
         if L > 1:
+            if window is None and np.abs(factors).max(initial=0.0) > _FAR:
+                break  # longer ones are near the end of doubles, and no shorter one sees everything
             factors = path.lengthened(one, factors)
         alpha, seen = smallest(factors)
         by_window.append(float(alpha.min()))
@@ -206,7 +227,11 @@ def _ever_seen(path: _Path, longest: int) -> bool:
     """Whether the longest windows see everything, by doubling the window; with a horizon, the one longest window."""
     one = path.Y.reshape(len(path.Y), -1, path.A.shape[1])
     if not path.limit:
-        return bool(smallest(path.windows(one, longest))[1].all())
+        seen = triangle(one[-1])
+        for Y, A in zip(one[-2::-1], path.A[-2::-1], strict=True):
+            moved = seen @ A  # directions matter here, sizes do not
+            seen = triangle(np.concatenate([Y, moved / max(1.0, float(np.abs(moved).max(initial=0.0)))]))
+        return bool(smallest(seen[None])[1].all())
     K = len(one)
     following = np.append(np.arange(1, K), K - path.limit)
     factors, Phi, L = triangle(one), path.A, 1
@@ -220,13 +245,23 @@ def _ever_seen(path: _Path, longest: int) -> bool:
 
 
 class _Nodes:
-    """What each node, and each sensor that might be added, changes; over all windows, a few at a time."""
+    """What each node, and each sensor that might be added, changes; over all windows, a few at a time.
+
+    Where nodes times windows are more than _EVERY_START, over the windows that say least and those of the limit.
+    """
 
     def __init__(
-        self, path: _Path, network: CorruptedNetwork, L: int, factors: Float[ndarray, "K n n"], progress: Progress | None
+        self,
+        path: _Path,
+        network: CorruptedNetwork,
+        L: int,
+        factors: Float[ndarray, "K n n"],
+        progress: Progress | None,
     ) -> None:
         N, n = network.N, network.n
-        variances = np.concatenate([np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]])
+        variances = np.concatenate(
+            [np.einsum("kpp->kp", R).ravel() for _, _, R in network.sensors(0).groups()] or [[1.0]]
+        )
         r = float(np.median(variances))
         states = np.broadcast_to(np.eye(n)[:, None, :] / np.sqrt(r), (len(path.A), n, 1, n))
         extra = path.windows(states, L)
@@ -234,22 +269,35 @@ class _Nodes:
             "alpha_without_node": np.full(N, np.inf),
             "alpha_of_node": np.full(N, np.inf),
             "alpha_with_copy": np.full(N, np.inf),
-            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(0),
+            "alpha_with_state": smallest(triangle(np.concatenate([factors[:, None].repeat(n, 1), extra], -2)))[0].min(
+                0
+            ),
         }
         alone = np.ones(N, dtype=bool)
-        own = path.windows(path.Y, L)
+        own = path.windows(path.Y, L) if len(factors) * N <= _EVERY_START else None
+        starts = np.arange(len(factors))
+        if own is None:
+            starts = _weakest(factors, path.limit, max(1, _EVERY_START // N))
         step = max(1, _CHUNK // (N * n * n))
-        for begin in range(0, len(own), step):
-            part = own[begin : begin + step]
-            whole = np.broadcast_to(factors[begin : begin + step, None], part.shape)
+        for begin in range(0, len(starts), step):
+            chosen = starts[begin : begin + step]
+            part = path.windows_from(chosen, L) if own is None else own[chosen]
+            whole = np.broadcast_to(factors[chosen, None], part.shape)
             alpha, seen = smallest(part)
             alone &= seen.all(axis=0)
             _lower(found["alpha_of_node"], alpha)
             _lower(found["alpha_with_copy"], smallest(triangle(np.concatenate([whole, part], axis=-2)))[0])
             _lower(found["alpha_without_node"], smallest(_all_but_one(part))[0])
             if progress is not None:
-                progress(min(begin + step, len(own)), len(own))
+                progress(min(begin + step, len(starts)), len(starts))
         self.found = {**found, "holds_of_node": alone, "added_variance": r}
+
+
+def _weakest(factors: Float[ndarray, "K n n"], limit: int, count: int) -> Int[ndarray, " k"]:
+    """The starts whose windows say least, and as many of the limit as there is room for."""
+    last = np.arange(len(factors) - limit, len(factors))[:count]
+    order = np.argsort(smallest(factors)[0], kind="stable")
+    return np.unique(np.concatenate([last, order[: max(1, count - len(last))]]))
 
 
 def _lower(least: Float[ndarray, " N"], alpha: Float[ndarray, "K N"]) -> None:

@@ -26,7 +26,8 @@ _RANK = 1e-8  # singular values below this share of the largest are rounding
 _HUGE = 1e100  # beyond this the growing directions count as infinite, long before they overflow
 _GROWN = 1e12  # and here they have grown so far that a fading sensor sees nothing along them
 _SETTLED = 1e-12  # how close to its limit the bounded part must be to count as there
-_PATIENCE = 5000  # instants after which it counts as there in any case
+_PATIENCE = 2000  # instants after which it counts as there in any case: what grows like a power of k takes long
+_ROOM = 20_000_000  # numbers in the rows of all nodes over those instants; large networks wait less, but for a hundred
 
 
 class Moment(NamedTuple):
@@ -136,12 +137,13 @@ def transient(network: CorruptedNetwork, limit: SecondMomentLimit) -> list[Momen
         return []
     found: list[Moment] = []
     size = _size(network, limit)
+    patience = int(np.clip(_ROOM / (int(network.rows[-1]) * network.n + 1), 100, _PATIENCE))
     for k, moment in enumerate(second_moments(network, limit)):
         found.append(moment)
         goal = limit.at(k).Pi
         settled = np.abs(moment.bounded - goal).max() <= _SETTLED * size
         grown = limit.bounded or moment.U.shape[1] > 0 or np.abs(moment.Pi).max() > _GROWN * size
-        if (settled and grown) or k >= _PATIENCE:
+        if (settled and grown) or k >= patience:
             return found
     return found
 

@@ -16,6 +16,7 @@ from tolnet.analysis.divergence import divergence, gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, relative_defect, step
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.model import Ambiguity, Complaint, InputError, SensorNetwork, Status, SteadyState
+from tolnet.model.covariances import SIX_DIGITS, condition
 
 Progress = Callable[[int, int], None]
 """Called with how many filters are done, and how many there are."""
@@ -202,7 +203,8 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
         v = at.eigenvalues * (1 + at.excess)
         M = (taken.AZ / v[:, None, :]) @ at.U.mT
         defect = relative_defect(recursion, taken.following - P, P)
-        found = found & (defect <= ACCEPT)  # the solver's word is not taken for it
+        found = found & (defect <= ACCEPT) & np.isfinite(attracts)  # the solver's word is not taken for it
+        found = found & (condition(V, recursion.S).error <= SIX_DIGITS)
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
         mismatch = np.where(c > 0, np.abs(divergence_now - c) / np.where(c > 0, c, 1.0), 0.0)
         values = {

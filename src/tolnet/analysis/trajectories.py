@@ -21,7 +21,7 @@ from numpy.random import Generator
 
 from tolnet.model import LeastFavourableModel, SensorNetwork
 from tolnet.model.sensors import Packed
-from tolnet.model.worst_case import psd_factor
+from tolnet.model.covariances import psd_factor
 
 
 class Instant(NamedTuple):

@@ -25,7 +25,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import combinations, pairwise
 from operator import mul
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
@@ -179,11 +179,16 @@ def is_positive_definite(S: Matrix) -> bool:
     return len(S.rows) ** 4 * bits <= 20 * MOST_WORK and _minors_are_positive(S.rows)
 
 
-def _minors_are_positive(rows: list[list[int]]) -> bool:
-    """Fraction-free elimination (Bareiss): the pivots are the leading principal minors; every division is exact."""
+def _minors_are_positive(rows: list[list[int]], semidefinite: bool = False) -> bool:
+    """Fraction-free elimination (Bareiss): the pivots are the leading principal minors; every division is exact.
+
+    A row and column of zeros keep a matrix from being definite, and may be left out to see that it is semidefinite.
+    """
     rows, previous = [list(row) for row in rows], 1
     for j, pivot_row in enumerate(rows):
         pivot = pivot_row[j]
+        if semidefinite and not any(pivot_row[j:]):
+            continue
         if pivot <= 0:
             return False
         for i in range(j + 1, len(rows)):
@@ -342,6 +347,54 @@ class Deployment:
         """E_k = Q + sum_l G_{k,l} R_l G_{.,l}', for l heard by k."""
         terms = (self.gain(k, l).by(self.R[l]).by(self.centre[l]) for l in self.neighbours[k])
         return sum(terms, self.Q)
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The numbers of `data` of a network with corrupted channels, each over a period of its own."""
+
+    n: int
+    A: list[Matrix]
+    F: list[Matrix]
+    Q: list[Matrix]
+    mu: list[Fraction]
+    C: list[list[Matrix]]  # p x n
+    R: list[list[Matrix]]
+    tau: list[list[Fraction]]
+    phi: list[list[Fraction]]
+    start: Matrix
+
+    @property
+    def period(self) -> int:
+        """After how many instants everything repeats."""
+        return math.lcm(*(len(x) for x in (self.A, self.F, self.Q, self.mu, self.C, self.R, self.tau, self.phi)))
+
+    def step(self, k: int, X: Matrix) -> Matrix:
+        """A X A' + mu F X F' + Q at instant k."""
+        noise = _at(self.mu, k) * _congruence(_at(self.F, k), X) + _at(self.Q, k)
+        return _congruence(_at(self.A, k), X) + noise
+
+    def information(self, k: int, gains: list[Matrix], X: Matrix | None, sharp: bool) -> Matrix:
+        """sum_i tau^2 (C'K + K'C - K' Rt K), Rt = R + phi C X C', over the sensors whose K is not zero."""
+        terms: list[tuple[Fraction | int, Matrix]] = []
+        for i, K in enumerate(gains):
+            if not any(map(any, K.rows)):
+                continue
+            tau, phi = (_at(self.tau, k)[i], _at(self.phi, k)[i]) if sharp else (1, 0)
+            seen = _at(self.C, k)[i].T @ K
+            terms += [(tau**2, seen + seen.T), (-(tau**2), _congruence(K.T, _at(self.R, k)[i]))]
+            if phi:
+                if X is None:
+                    raise Wrong(f"proof.gains: sensor {i} fades, and there are no moments")
+                terms.append((-phi * tau**2, _congruence(seen.T, X)))
+        return _combination(terms, self.n)
+
+
+Item = TypeVar("Item")
+
+
+def _at(period: list[Item], k: int) -> Item:
+    return period[k % len(period)]
 
 
 def _sigma(weights: dict[int, dict[int, Fraction]]) -> dict[int, Fraction]:
@@ -674,6 +727,65 @@ def _contains(interval: Any, middle: Fraction, error: Fraction, where: str) -> N
     _require(low <= middle - error and middle + error <= high, f"{where}: the proof does not reach this interval")
 
 
+# -------------------- Observability ---------------------------------------------------------------------------
+
+
+def _windows(claim: dict[str, Any]) -> tuple[int, int | None, bool]:
+    """The length of the windows, the last instant that they may reach (None: any), and whether channels fade."""
+    L, H = _whole(claim["window"], 1, 10**6, "window"), claim["horizon"]
+    _require(H is None or _whole(H, 0, 10**6, "horizon") >= L - 1, "window: longer than the horizon")
+    _require(claim["form"] in ("sharp", "classical"), "form: expected sharp or classical")
+    return L, H, claim["form"] == "sharp"
+
+
+def observable(claim: dict[str, Any], at: Channels) -> None:
+    """sum_j Phi' S_{k+j} Phi - alpha I > 0 for the windows from every k, S_s below sum_i tau^2 C' Rt^-1 C."""
+    L, H, sharp = _windows(claim)
+    proof = _object(claim["proof"], "proof", "loop", "moments", "gains")
+    n, m = at.n, len(_list(proof["gains"], None, "proof.gains"))
+    loop = _whole(proof["loop"], 0, m, "proof.loop")
+    _require(loop % at.period == 0, "proof.loop: expected a multiple of the period of the data")
+    _require(loop > 0 or (H is not None and m > H), "proof: the gains end before the claim does")
+    _afford(m * L * L * n**3 + m * len(at.tau[0]) * n**3, MOST_WORK, "every window")
+
+    def following(k: int) -> int:
+        return k + 1 if k + 1 < m else m - loop
+
+    X = None if proof["moments"] is None else _symmetric_list(proof["moments"], m, n, "proof.moments")
+    if X is not None:
+        _require_definite(X[0] - at.start, "moments[0] less the initial second moment")
+        for k in range(m if loop else m - 1):
+            _require_definite(X[following(k)] - at.step(k, X[k]), f"the bound of the second moment after {k}")
+    S = []
+    for k, texts in enumerate(proof["gains"]):
+        outputs, where = _at(at.C, k), f"proof.gains[{k}]"
+        K = [
+            _matrix(text, len(C.rows), n, where)
+            for text, C in zip(_list(texts, len(outputs), where), outputs, strict=True)
+        ]
+        S.append(at.information(k, K, None if X is None else X[k], sharp))
+    G = S
+    for _ in range(L - 1):
+        G = [S[k] + _congruence(_at(at.A, k).T, G[following(k)]) for k in range(m if loop else len(G) - 1)]
+    least = _positive(claim, "alpha") * Matrix.unit(n)
+    for k, seen in enumerate(G if H is None else G[: H - L + 2]):
+        _require_definite(seen - least, f"the Gramian of the window from {k}, less alpha I,")
+
+
+def unobservable(claim: dict[str, Any], at: Channels) -> None:
+    """C Phi v = 0 for every sensor, at every instant of one window."""
+    L, H, _ = _windows(claim)
+    witness = _object(claim["witness"], "witness", "start", "vector")
+    start = _whole(witness["start"], 0, 10**6 if H is None else H - L + 1, "witness.start")
+    v = _matrix(witness["vector"], 1, at.n, "witness.vector")
+    _require(any(v.rows[0]), "witness.vector: expected another vector than zero")
+    _afford(L * L * (at.n**2 + at.n * sum(len(C.rows) for C in at.C[0])), MOST_WORK, "the window of the witness")
+    for k in range(start, start + L):
+        for i, C in enumerate(_at(at.C, k)):
+            _require(not any(v.by(C).rows[0]), f"sensor {i} sees the vector of the witness at {k}")
+        v = v.by(_at(at.A, k))
+
+
 # -------------------- Claims: their keys, their sentences, what verifies them ---------------------------------
 
 
@@ -689,7 +801,7 @@ class Finding:
     reason: str | None
 
 
-Verify = Callable[[dict[str, Any], Deployment], None]
+Verify = Callable[[dict[str, Any], Any], None]  # the last is a Deployment or, for observability, Channels
 
 
 def _block(claim: dict[str, Any]) -> str:
@@ -700,9 +812,13 @@ def _block(claim: dict[str, Any]) -> str:
 
 
 def _rate(claim: dict[str, Any]) -> float:
-    rate = _doubles(claim["rate"], 1, "rate")[0]
-    _require(rate > 0, "rate: expected a positive number")
-    return rate
+    return float(_positive(claim, "rate"))
+
+
+def _positive(claim: dict[str, Any], key: str) -> Fraction:
+    number = Fraction(_doubles(claim[key], 1, key)[0])
+    _require(number > 0, f"{key}: expected a positive number")
+    return number
 
 
 def _margin(claim: dict[str, Any]) -> Fraction:
@@ -715,6 +831,13 @@ def _margin(claim: dict[str, Any]) -> Fraction:
 def sentence(claim: dict[str, Any]) -> str:
     """The only statement that the claim may make."""
     name, block = claim["claim"], _block(claim) if "block" in claim else ""
+    if name == "observability":
+        L, H, sharp = _windows(claim)
+        windows = f"window of {L} instant{'s' * (L > 1)}" + ("" if H is None else f" within k = 0..{H}")
+        gramian = f"the {'robust' if sharp else 'classical'} Gramian"
+        if claim["verdict"] == "refuted":
+            return f"Over some {windows} no sensor sees a certain direction at all: {gramian} is singular."
+        return f"Over every {windows} {gramian} exceeds {float(_positive(claim, 'alpha'))!r} I."
     if claim["verdict"] == "refuted":
         of = claim["witness"].get("of") if isinstance(claim["witness"], dict) else None
         if of != "network" and (of != "centre" or claim["block"] != "F"):
@@ -746,6 +869,8 @@ RULES: dict[tuple[str, str], tuple[tuple[str, ...], Verify | None]] = {  # keys 
     ("decay-rate", "proved"): (("block", "rate"), stable),
     ("switching", "proved"): (("drop|scenarios",), switching),
     ("performance", "proved"): (("nodes", "centre", "network"), performance),
+    ("observability", "proved"): (("alpha", "window", "form", "horizon"), observable),
+    ("observability", "refuted"): (("window", "form", "horizon"), unobservable),
     ("steady-state", "proved"): (("node", "c", "gain_error"), None),
     ("attraction", "proved"): (("node", "c", "rate"), None),
     ("attraction", "refuted"): (("node", "c"), None),
@@ -757,7 +882,7 @@ COMMON = ("claim", "verdict", "statement", "margin", "reason")
 EVIDENCE = {"proved": "proof", "refuted": "witness"}
 
 
-def examine(claim: Any, at: Deployment) -> Finding:
+def examine(claim: Any, at: Deployment | Channels) -> Finding:
     """What is to be said of one claim."""
     given = claim if isinstance(claim, dict) else {}
     texts = (given.get(key) for key in ("claim", "verdict", "statement"))
@@ -776,9 +901,11 @@ def examine(claim: Any, at: Deployment) -> Finding:
         keys = [("drop" if "drop" in given else "scenarios") if key == "drop|scenarios" else key for key in own]
         _object(given, "the claim", *COMMON, EVIDENCE[verdict], *keys)
         _require(given["reason"] is None, "reason: expected null for a claim that is decided")
+        of_channels = name == "observability"
+        _require(of_channels == isinstance(at, Channels), "the claim speaks of another kind of data")
         if verify is None:
             raise Declined("it needs a logarithm, which tolnet check takes in ball arithmetic")
-        if verify in (unstable, performance):
+        if of_channels or verify in (unstable, performance):
             _require(given["margin"] is None, "margin: expected null")
         _require(given["statement"] == sentence(given), "the statement is not the one that this claim can make")
         verify(given, at)
@@ -809,7 +936,9 @@ def check(document: Any, watch: Watch = unwatched) -> list[Finding]:
         _require(document["schema"] == SCHEMA, f"schema: expected {SCHEMA}")
         claims = _list(document["claims"], None, "claims")
         _require(bool(claims), "claims: the certificate claims nothing")
-        deployment = _deployment(document["data"], watch)
+        data = document["data"]
+        channels = isinstance(data, dict) and "kind" in data
+        deployment = _channels(data) if channels else _deployment(data, watch)
     except Wrong as wrong:
         raise Refused(str(wrong)) from None
     return [examine(claim, deployment) for claim in claims]
@@ -1008,6 +1137,63 @@ def _deployment(data: Any, watch: Watch) -> Deployment:
         tilt=tilt,
         watch=watch,
     )
+
+
+def _channels(data: Any) -> Channels:
+    letters = ("A", "F", "Q", "mu", "C", "R", "tau", "phi")
+    _object(data, "data", "kind", "n", "nodes", *letters, "initial_second_moment")
+    _require(data["kind"] == "corrupted-channels", "data.kind: expected corrupted-channels, or no such key")
+    nodes, n = _whole(data["nodes"], 1, 10**8, "data.nodes"), _whole(data["n"], 1, LARGEST_MATRIX, "data.n")
+    for key in letters:
+        _require(bool(_list(data[key], None, f"data.{key}")), f"data.{key}: expected one period")
+
+    def over(key: str, read: Callable[[Any, str], Item]) -> list[Item]:
+        return [read(text, f"data.{key}[{t}]") for t, text in enumerate(data[key])]
+
+    def square(text: Any, where: str) -> Matrix:
+        return _matrix(text, n, n, where)
+
+    def numbers(text: Any, where: str) -> list[Fraction]:
+        return list(map(Fraction, _doubles(text, nodes, where)))
+
+    def outputs(texts: Any, where: str) -> list[Matrix]:
+        p = [
+            (text.count(" ") + 1) // n if isinstance(text, str) and text else 0 for text in _list(texts, nodes, where)
+        ]
+        return [_matrix(text, p[i], n, f"{where}[{i}]") for i, text in enumerate(texts)]
+
+    C, width = over("C", outputs), range(nodes)
+    p = [len(each.rows) for each in C[0]]
+    _require(
+        all(len(at[i].rows) == p[i] for at in C for i in width), "data.C: a sensor changes its number of outputs"
+    )
+
+    def noise(texts: Any, where: str) -> list[Matrix]:
+        return [_matrix(text, p[i], p[i], f"{where}[{i}]") for i, text in enumerate(_list(texts, nodes, where))]
+
+    found = Channels(
+        n=n,
+        A=over("A", square),
+        F=over("F", square),
+        Q=over("Q", square),
+        mu=over("mu", lambda text, where: Fraction(_doubles(text, 1, where)[0])),
+        C=C,
+        R=over("R", noise),
+        tau=over("tau", numbers),
+        phi=over("phi", numbers),
+        start=_symmetric(data["initial_second_moment"], n, "data.initial_second_moment"),
+    )
+    _require(min(found.mu) >= 0, "data.mu: expected variances")
+    _require(min(min(each) for each in found.phi) >= 0, "data.phi: expected variances")
+    R = [R for each in found.R for R in each]
+    work = sum(len(S.rows) ** 3 for S in [*found.Q, *R])
+    _require(work <= MOST_WORK, "data: a network too large to be checked here")
+    _require(all(S.rows == S.T.rows for S in [*found.Q, *R]), "data: a covariance is not symmetric")
+    _require(all(map(is_positive_definite, R)), "data.R: expected positive definite matrices")
+    for S in [*found.Q, found.start]:
+        semidefinite = is_positive_definite(S) or (n <= SMALL and _minors_are_positive(S.rows, semidefinite=True))
+        _require(semidefinite, "data: a second moment is not shown to be semidefinite")
+    return found
 
 
 # -------------------- The command -----------------------------------------------------------------------------

@@ -56,7 +56,11 @@ def differences(stated: Mapping[str, Any], deployed: Deployed, keys: Sequence[st
 
     Both are compared as exact numbers: texts that read back to the same doubles are the same.
     """
-    own = deployed.data()
+    return data_differences(stated, deployed.data(), keys)
+
+
+def data_differences(stated: Mapping[str, Any], own: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
+    """The same, of two `data`."""
     found = []
     for key in keys:
         if not _same(stated.get(key), own[key]):

@@ -50,9 +50,7 @@ def _normalised(mode: ndarray) -> ndarray:
     return mode / mode[int(np.argmax(np.abs(mode)))]
 
 
-def validate(
-    deployed: Deployed, eigenvalue: complex, z: ndarray, *, shipped: bool
-) -> dict[str, Any] | str:
+def validate(deployed: Deployed, eigenvalue: complex, z: ndarray, *, shipped: bool) -> dict[str, Any] | str:
     """The witness of a validated eigenpair, or the reason why there is none. B is computed here and not trusted."""
     A, doubt = sparse_block(deployed)
     pivot, d = int(np.argmax(np.abs(z))), len(z)
@@ -72,9 +70,7 @@ def validate(
     ones = np.ones(d + 1)
     doubts = np.append(doubt @ ones[:d], 0.0)
     near = np.abs(R).sum(axis=1) + np.abs(B) @ (4 * (d + 8) * _U * (abs(J) @ ones) + doubts)
-    newton, contraction, norm = (
-        _RAISED * float(bound.max()) for bound in (np.abs(B[:, :d]) @ f, near, rows)
-    )
+    newton, contraction, norm = (_RAISED * float(bound.max()) for bound in (np.abs(B[:, :d]) @ f, near, rows))
     radius = float(f"{4 * newton + 1e-300:.2e}")
     inside = newton + contraction * radius + norm * radius**2
     if not _RAISED * inside < radius:
@@ -118,9 +114,7 @@ def _bordered(A: sparse.csr_array, eigenvalue: complex, z: ndarray, pivot: int) 
     return sparse.csr_array(sparse.block_array([[shifted, -sparse.csr_array(z[:, None])], [corner, None]]))
 
 
-def _approximate_inverse(
-    A: sparse.csr_array, eigenvalue: complex, z: ndarray, pivot: int
-) -> ndarray | None:
+def _approximate_inverse(A: sparse.csr_array, eigenvalue: complex, z: ndarray, pivot: int) -> ndarray | None:
     try:
         B = np.linalg.inv(_bordered(A, eigenvalue, z, pivot).toarray())
     except np.linalg.LinAlgError:

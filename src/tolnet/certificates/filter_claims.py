@@ -108,7 +108,9 @@ def decide(states: SteadyStates, deployed: Deployed, claims: Sequence[str]) -> l
                 keys = _keys(claim, exact, box, filters, node)
             else:
                 continue
-            found.append(_verdict(claim, node, c if claim != "tolerance" or not states.centre else states.centre[0], keys))
+            found.append(
+                _verdict(claim, node, c if claim != "tolerance" or not states.centre else states.centre[0], keys)
+            )
     return found
 
 

@@ -1,9 +1,9 @@
 """Mean square deviations, enclosed in exact arithmetic from a solution of the Lyapunov equation (docs/certificate.md).
 
-    1.  Z = F Q F' + G G' - Q exactly, and +-Z <= diag(z), z_i = sum_j |Z_ij| t_j / t_i for any t > 0
-    2.  z <= e X block by block
-    3.  T(X) <= (1 - d) X for T(X)_k = sigma_k sum_l |w_lk| M_l X_l M_l' / (1 - p) + C_k X_N C_k' / p
-    4.  so |(Q - Q*)_kk| <= (e / d) X_k: sums of F^t diag(X) F'^t have blocks below X_k / d
+1.  Z = F Q F' + G G' - Q exactly, and +-Z <= diag(z), z_i = sum_j |Z_ij| t_j / t_i for any t > 0
+2.  z <= e X block by block
+3.  T(X) <= (1 - d) X for T(X)_k = sigma_k sum_l |w_lk| M_l X_l M_l' / (1 - p) + C_k X_N C_k' / p
+4.  so |(Q - Q*)_kk| <= (e / d) X_k: sums of F^t diag(X) F'^t have blocks below X_k / d
 """
 
 from __future__ import annotations
@@ -19,7 +19,12 @@ from numpy import ndarray
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
-from tolnet.certificates.stability import ExactNetwork, has_positive_diagonal, exact_network_matrix, process_covariance
+from tolnet.certificates.stability import (
+    ExactNetwork,
+    has_positive_diagonal,
+    exact_network_matrix,
+    process_covariance,
+)
 from tolnet.certificates.verdicts import Proved, Undecided
 
 _BITS = 30
@@ -61,7 +66,11 @@ class _Enclosure:
     """Q, and how far it can be from the solution."""
 
     def __init__(
-        self, network: ExactNetwork, Q: Float[ndarray, "d d"], X: Float[ndarray, "N n n"], centre: Float[ndarray, "n n"]
+        self,
+        network: ExactNetwork,
+        Q: Float[ndarray, "d d"],
+        X: Float[ndarray, "N n n"],
+        centre: Float[ndarray, "n n"],
     ) -> None:
         self.N, self.n = network.deployed.N, network.deployed.n
         self.Q = Q
@@ -78,7 +87,11 @@ class _Enclosure:
         self.X = np.concatenate([X, scale * centre[None]])
         stack = Exact.of(self.X)
         # (1 - d) p (1 - p) X_k - p sigma_k sum - (1 - p) C_k X_N C_k', so that nothing is divided
-        p, rest, kept = Exact.of(self.share), Exact.of(1.0) - Exact.of(self.share), Exact.of(1.0) - Exact.of(self.delta)
+        p, rest, kept = (
+            Exact.of(self.share),
+            Exact.of(1.0) - Exact.of(self.share),
+            Exact.of(1.0) - Exact.of(self.delta),
+        )
         reached = p * moved + rest * (coupling @ stack[self.N] @ coupling.T)
         good = (kept * p * rest * stack[: self.N] - reached).definite().all()
         good = good and bool((kept * stack[self.N] - Fe @ stack[self.N] @ Fe.T).definite())

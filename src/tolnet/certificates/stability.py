@@ -150,7 +150,9 @@ def prove_stability(
     if rate is not None:
         claim, keys = "decay-rate", {"block": block, "rate": number_text(rate)}
         statement = statements.decay_rate(block, rate)
-    if not (has_positive_diagonal(candidate.X) and (candidate.centre is None or has_positive_diagonal(candidate.centre))):
+    if not (
+        has_positive_diagonal(candidate.X) and (candidate.centre is None or has_positive_diagonal(candidate.centre))
+    ):
         return Undecided(claim, statement, f"{candidate.method}: the candidate is not positive definite", keys=keys)
     reason = ""
     for bits in (_SHORT, _LONG):
@@ -306,7 +308,10 @@ def exact_power(network: ExactNetwork, j: int) -> list[tuple[Int[ndarray, " m"],
     for _ in range(j - 1):
         power = [_combined(row, rows) for row in power]
     return [
-        (np.array(sorted(row)), Exact(np.stack([row[l].ints for l in sorted(row)]), next(iter(row.values())).exponent))
+        (
+            np.array(sorted(row)),
+            Exact(np.stack([row[l].ints for l in sorted(row)]), next(iter(row.values())).exponent),
+        )
         for row in power
     ]
 
@@ -410,4 +415,3 @@ def _image(
     p = candidate.shares.toarray()
     inverse = np.divide(1.0, p, out=np.zeros_like(p), where=p > 0)
     return np.einsum("kl,kalb,lbc,kdlc->kad", inverse, F, X, F, optimize=True)
-

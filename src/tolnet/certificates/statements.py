@@ -46,6 +46,28 @@ def performance(low: float, high: float) -> str:
     )
 
 
+def observability(alpha: float | None, *, window: int, form: str, horizon: int | None) -> str:
+    """Of `observability`; without alpha, what was tried."""
+    least = "some alpha I with alpha > 0" if alpha is None else f"{alpha!r} I"
+    return f"Over every window of {_instants(window, horizon)} the {_GRAMIANS[form]} Gramian exceeds {least}."
+
+
+def blindness(*, window: int, form: str, horizon: int | None) -> str:
+    """Of a refuted `observability`."""
+    return (
+        f"Over some window of {_instants(window, horizon)} no sensor sees a certain direction at all: the"
+        f" {_GRAMIANS[form]} Gramian is singular."
+    )
+
+
+_GRAMIANS = {"sharp": "robust", "classical": "classical"}
+
+
+def _instants(window: int, horizon: int | None) -> str:
+    within = "" if horizon is None else f" within k = 0..{horizon}"
+    return f"{window} instant{'' if window == 1 else 's'}{within}"
+
+
 def who(node: int | str) -> str:
     """A node, or the centre."""
     return "the centre" if node == "centre" else f"node {node}"

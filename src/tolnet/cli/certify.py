@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from tolnet.cli.certify_channels import CLAIM, GramianForm, Horizon, Window, certify_channels, speaks_of_channels
 from tolnet.cli.console import Console, ProgressBar, complain
 from tolnet.cli.documents import write
 from tolnet.cli.options import (
@@ -23,6 +24,7 @@ from tolnet.cli.options import (
     check_outputs,
     choose_ambiguity,
     nearest,
+    open_any,
     open_problem,
     repeated,
 )
@@ -63,7 +65,8 @@ def certify(
         typer.Option(
             metavar="A,B",
             help="Some of schur-stability, steady-state, attraction, tolerance, convergence,"
-            " performance (these without), decay-rate, convergence-all, switching.",
+            " performance (these without), decay-rate, convergence-all, switching; of corrupted channels:"
+            " observability.",
         ),
     ] = None,
     rate: Annotated[
@@ -89,6 +92,9 @@ def certify(
             " (.csv, or .toml for the problem with its weights replaced).",
         ),
     ] = None,
+    form: GramianForm = None,
+    window: Window = None,
+    horizon: Horizon = None,
     output: Outputs = None,
     json: AsJson = False,
     quiet: Quiet = False,
@@ -97,6 +103,7 @@ def certify(
 
     -o takes .json, the certificate. What is proved concerns the very doubles that are deployed. Exit code 0: every
     claim is proved; 1: one is refuted; 3: none is refuted, but one is undecided; 4: there is no filter to certify.
+    For corrupted channels the claim is that the network is robustly observable.
     """
     console = Console(json=json, quiet=quiet)
     outputs = output or []
@@ -105,7 +112,26 @@ def certify(
     if stable_weights is not None:
         check_outputs([stable_weights], [".csv", ".toml"], inputs=[*inputs, *map(str, outputs)])
     wanted = _choose_claims(claims, rate=rate, switching=scenarios is not None or drop_links is not None)
-    subject = _prepare(problem, tolerance, convention, diffusion, table, precision, console)
+    from tolnet import model
+
+    network = open_any(problem, console)
+    exact = {
+        "tolerance": tolerance is not None,
+        "convention": convention,
+        "diffusion": diffusion,
+        "table": table,
+        "precision": _unless(precision),
+        "stable-weights": stable_weights,
+    }
+    corrupted = {"form": form, "window": window, "horizon": horizon}
+    named = [claim for claim in wanted if claims is not None or claim not in ATTEMPTED]
+    if speaks_of_channels(network, problem, named, exact, corrupted):
+        assert isinstance(network, model.CorruptedNetwork)
+        certify_channels(network, problem, form or "sharp", window, horizon, outputs, console)
+        return
+    if not isinstance(network, model.SensorNetwork):
+        network = open_problem(problem, console)
+    subject = _prepare(network, tolerance, convention, diffusion, table, precision, console)
     verdicts = list(_decide(subject, wanted, rate, scenarios, drop_links, console))
 
     from tolnet.certificates.document import certificate_json
@@ -158,7 +184,7 @@ def _choose_claims(text: str | None, *, rate: float | None, switching: bool) -> 
     from tolnet.model import InputError
 
     words = list(ATTEMPTED) if text is None else [word.strip() for word in text.split(",")]
-    known = (*ATTEMPTED, *ON_REQUEST)
+    known = (*ATTEMPTED, *ON_REQUEST, CLAIM)
     for word in words:
         if word not in known:
             raise InputError(f"--claims names {word!r}; the claims are {', '.join(known)}{nearest(word, known)}")
@@ -174,7 +200,7 @@ def _choose_claims(text: str | None, *, rate: float | None, switching: bool) -> 
 
 
 def _prepare(
-    problem: str,
+    network: SensorNetwork,
     tolerance: float | None,
     convention: Literal["gamma", "nats"] | None,
     diffusion: str | None,
@@ -193,7 +219,6 @@ def _prepare(
     from tolnet.design.export.deployment import Deployment
     from tolnet.model import Complaint, InputError, UnsupportedError
 
-    network = open_problem(problem, console)
     stored = None if table is None else read_deployed(table)
     if stored is not None and (tolerance is not None or diffusion is not None):
         raise InputError("--table holds the tolerance and the weights; --tolerance and --diffusion were not expected")

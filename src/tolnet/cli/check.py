@@ -11,7 +11,7 @@ import typer
 
 from tolnet.cli.console import Console, complain
 from tolnet.cli.documents import render
-from tolnet.cli.options import AsJson, Quiet, Rule, check_outputs, open_problem
+from tolnet.cli.options import AsJson, Quiet, Rule, check_outputs, open_corrupted, open_problem
 
 if TYPE_CHECKING:
     from tolnet.certificates.deployed import Deployed
@@ -98,7 +98,8 @@ def _judged(document: Any, path: Path, console: Console) -> Iterator[Row]:
             findings = checker.check(document, _watch(progress))
     except checker.Refused as refusal:
         raise InputError(str(refusal), source=str(path)) from None
-    open_claims = [i for i, finding in enumerate(findings) if finding.result == "not checked here"]
+    in_balls = "kind" not in document["data"]
+    open_claims = [i for i, finding in enumerate(findings) if in_balls and finding.result == "not checked here"]
     answers = dict(zip(open_claims, _in_balls(document, open_claims, console), strict=True))
     for i, finding in enumerate(findings):
         of = "the network" if finding.node is None else who(finding.node)
@@ -156,6 +157,14 @@ def _compared(
     from tolnet.design.export.deployed import read_deployed
     from tolnet.model import InputError
 
+    if "kind" in document["data"]:
+        from tolnet.cli.certify_channels import channel_differences
+
+        if table is not None:
+            raise InputError("--table is a table for exact channels; the certificate speaks of corrupted ones")
+        wrong = channel_differences(document["data"], open_corrupted(problem, console))
+        yield _row("problem", problem, wrong, "plant, sensors and fading are the same")
+        return
     network = open_problem(problem, console)
     stored = None if table is None else read_deployed(table)
     data, claims = document["data"], document["claims"]

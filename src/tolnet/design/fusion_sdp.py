@@ -129,9 +129,7 @@ class _Clarabel(Program):
             A[-len(self.small) :, :J] = -_weight(self.small)[:, None] * Omega[:, i, j].T
         q = np.r_[np.zeros(J), self.cost * M[i, j]]
         nothing = sparse.csc_array((len(q), len(q)))
-        program = clarabel.DefaultSolver(
-            nothing, q, sparse.csc_array(A), self.right, self.cones, self.settings
-        )
+        program = clarabel.DefaultSolver(nothing, q, sparse.csc_array(A), self.right, self.cones, self.settings)
         found = program.solve()
         if found.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
             return None

@@ -130,7 +130,9 @@ def _point(
 def _on_front(point: WindowPoint, others: Iterable[WindowPoint]) -> bool:
     """Whether nothing that costs no more gives a trace that is lower by more than rounding."""
     return not any(
-        other.solves <= point.solves and other.bytes <= point.bytes and other.trace < point.trace * (1 - 1e-9)
+        other.solves <= point.solves
+        and other.bytes <= point.bytes
+        and other.trace < point.trace * (1 - 1e-9)
         or (other.solves, other.bytes) != (point.solves, point.bytes)
         and other.solves <= point.solves
         and other.bytes <= point.bytes

@@ -13,13 +13,17 @@ Convention = Literal["gamma", "nats"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)
 
 
+SMALLEST, LARGEST = 1e-200, 1e10
+"""Tolerances other than 0: beyond, theta^2 underflows, or V outgrows P by more than doubles hold."""
+
+
 @dataclass(frozen=True)
 class Ambiguity:
     """A ball of radius `tolerance` around the nominal transition density, eq. (2).
 
     `tau` selects the member of the tau-divergence family (docs/mathematics.md, section 5); 0 is Kullback-Leibler.
-    Raises InputError for a tolerance that is negative, infinite or no number, an unknown convention,
-    tau outside [0, 1], and `nats` together with tau != 0, where it has no meaning.
+    Raises InputError for a tolerance that is negative, no number, or neither 0 nor between `SMALLEST` and `LARGEST`,
+    an unknown convention, tau outside [0, 1], and `nats` together with tau != 0, where it has no meaning.
     """
 
     tolerance: float
@@ -32,6 +36,9 @@ class Ambiguity:
         tolerance = number(self.tolerance, "ambiguity.tolerance", meant, complaints)
         if tolerance is not None and tolerance < 0:
             complaints.add("ambiguity.tolerance", f"is {shown(self.tolerance)}; {meant} was expected")
+        elif tolerance and not SMALLEST <= tolerance <= LARGEST:
+            meant = f"0, or a number from {SMALLEST:g} to {LARGEST:g}"
+            complaints.add("ambiguity.tolerance", f"is {shown(self.tolerance)}; {meant}, was expected")
         if self.convention not in CONVENTIONS:
             complaints.add("ambiguity.convention", f"is {shown(self.convention)}; 'gamma' or 'nats' was expected")
         meant = "a number from 0 to 1"

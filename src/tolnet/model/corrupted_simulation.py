@@ -117,9 +117,9 @@ class CorruptedSimulation(_ReadOnly):
 
     @property
     def overconfident(self) -> bool:
-        """Whether some sample covariance exceeds P by more than chance allows."""
+        """Whether some sample covariance exceeds P by more than chance allows, or some P was no covariance at all."""
         with np.errstate(invalid="ignore"):
-            return bool((self.excess > 1 + self.margin()).any())
+            return bool((self.excess > 1 + self.margin()).any() or np.isinf(self.node_nees).any())
 
     @property
     def grows(self) -> bool:

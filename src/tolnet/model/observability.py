@@ -56,6 +56,8 @@ class RobustObservability(_ReadOnly):
     alpha_limit: Float[ndarray, " T"] | None
     """For large k, one a phase of the period; None with a horizon."""
     alpha_without_node: Float[ndarray, " N"]
+    """When node i fails. This and what follows is, in networks with very many nodes and windows, over those windows
+    that say least and those of the limit."""
     alpha_of_node: Float[ndarray, " N"]
     """Of each node alone."""
     holds_of_node: Bool[ndarray, " N"]

@@ -127,7 +127,7 @@ class CorruptedReader(Reader):
 
     def fading(self) -> dict[str, Any]:
         """tau, phi and the interval of every node."""
-        interval = self.plain("fusion", "interval", 1)
+        interval = self.plain("fusion", "interval", 1) or 1
         defaults = {"fading_mean": 1.0, "fading_variance": 0.0, "interval": interval}
         found = {key: self.each_sensor(key, default) for key, default in defaults.items()}
         if isinstance(
@@ -156,7 +156,7 @@ class CorruptedReader(Reader):
         names = ("estimate_noise", "matrix_noise")
         bounds = {name: self.resolved(table.get(name, 0.0), f"channel.{name}") for name in names}
         links = []
-        for index, link in enumerate(self.plain("channel", "links", ())):
+        for index, link in enumerate(self.plain("channel", "links", ()) or ()):
             where = f"channel.links[{index}]"
             own = {name: self.resolved(link[name], f"{where}.{name}") for name in names if name in link}
             links.append({**link, **own})
@@ -165,7 +165,7 @@ class CorruptedReader(Reader):
     def fusion(self, N: int | None) -> dict[str, Any]:
         """The rule, or a_ij itself; and the window."""
         table = self.table("fusion")
-        window = self.plain("fusion", "window", 1)
+        window = self.plain("fusion", "window", 1) or 1
         if "weights" not in table:
             return {"fusion": self.plain("fusion", "rule", FUSION_RULES[0]), "window": window}
         if "rule" in table:
@@ -177,12 +177,13 @@ class CorruptedReader(Reader):
         table = self.table("simulation")
         if not table or any(old.partition(".")[0] == "simulation" for old in self.blamed):
             return None
-        channel = table.get("channel", {})
+        channel = table.get("channel") or {}
         given = {key: table[key] for key in ("fading", "noise") if key in table}
         if "kind" in channel:
             given["channel"] = channel["kind"]
         try:
-            return SimulationModel(**given, half_width=channel.get("half_width"))
+            width = channel.get("half_width")
+            return SimulationModel(**given, half_width=None if width is None else float(width))
         except InputError as error:
             for complaint in error.complaints:
                 self.blame(complaint.key, complaint.message)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from tolnet.model.ambiguity import Convention, gamma_per
+from tolnet.model.covariances import condition
 from tolnet.model.network import SensorNetwork
 from tolnet.model.status import Status
 
@@ -82,13 +83,8 @@ class SteadyState(_ReadOnly):
 
     @cached_property
     def filtered(self) -> Float[ndarray, "*K n n"]:
-        """(V^-1 + S)^-1, formed as (I + V S)^-1 V so that a singular V is allowed."""
-        eye = np.eye(len(self.A))
-        Z = np.full_like(self.V, np.nan)
-        good = self.exists
-        V, S = self.V[good], self.S[good]
-        Z[good] = np.linalg.solve(eye + V @ S, V)
-        return (Z + Z.mT) / 2  # rounding only: the exact matrix is symmetric
+        """(V^-1 + S)^-1; a singular V is allowed."""
+        return condition(self.V, self.S).covariance
 
     def gain(self, C: Float[ndarray, "p n"], R: Float[ndarray, "p p"], k: int | None = None) -> Float[ndarray, "n p"]:
         """G = A (V^-1 + S)^-1 C' R^-1 of filter k for sensors C, R stacked, eqs. (7), (44); k = None for no stack."""

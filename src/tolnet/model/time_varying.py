@@ -121,7 +121,8 @@ def over_time(value: Any, ndim: int, key: str, parse: Parse, complaints: Complai
         return None
     instants = [parse(value[t], f"{key}[{t}]", complaints) for t in range(len(value))]
     found = [array for array in instants if array is not None]
-    return TimeVarying(np.stack(found)) if len(found) == len(instants) else None
+    alike = len({array.shape for array in found}) == 1  # they differ only where the size of the plant is not known
+    return TimeVarying(np.stack(found)) if len(found) == len(instants) and alike else None
 
 
 def depth(value: Any) -> int:

@@ -6,12 +6,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
+from tolnet.model.covariances import Posterior, condition, psd_factor, standard_deviations
 from tolnet.model.network import SensorNetwork
 from tolnet.model.results import _ReadOnly
 from tolnet.model.status import Status
+
+__all__ = ["LeastFavourableModel", "psd_factor", "standard_deviations"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,19 +57,18 @@ class LeastFavourableModel(_ReadOnly):
         return len(self.theta) if self.theta.ndim else None
 
     @cached_property
+    def _posterior(self) -> Posterior:
+        return condition(self.V, self.network.total_information)
+
+    @property
     def filtered(self) -> Float[ndarray, "*time n n"]:
         """Z = (V^-1 + S)^-1 of the centre."""
-        VS = self.V @ self.network.total_information
-        Z = np.linalg.solve(np.eye(self.network.n) + VS, self.V)
-        return (Z + Z.mT) / 2  # rounding only: the exact matrix is symmetric
+        return self._posterior.covariance
 
     @cached_property
     def loop(self) -> Float[ndarray, "*time n n"]:
         """A - G C = A (I + V S)^-1: the error loop of the centre under the nominal model."""
-        eye = np.eye(self.network.n)
-        return self.network.A @ np.linalg.solve(
-            eye + self.V @ self.network.total_information, np.broadcast_to(eye, self.V.shape)
-        )
+        return self.network.A @ self._posterior.loop
 
     @cached_property
     def noise(self) -> Float[ndarray, "*time n n"]:
@@ -126,23 +128,3 @@ class LeastFavourableModel(_ReadOnly):
     def __repr__(self) -> str:
         when = "steady" if self.horizon is None else f"{self.horizon} steps"
         return f"<LeastFavourableModel {self.status} ({when}): c = {self.tolerance:g}>"
-
-
-def psd_factor(P: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K n n"]:
-    """Y with Y Y' = P for a symmetric positive semidefinite P, singular or badly scaled.
-
-    From the eigenvectors of P with its diagonal scaled to one, so that small states keep their digits.
-    """
-    scale, varies = standard_deviations(P)
-    eigenvalues, U = np.linalg.eigh(P / (scale[..., :, None] * scale[..., None, :]))
-    return np.where(varies, scale, 0.0)[..., :, None] * U * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :]
-
-
-def standard_deviations(P: Float[ndarray, "*K n n"]) -> tuple[Float[ndarray, "*K n"], Bool[ndarray, "*K n"]]:
-    """Roots of the diagonal, 1 in the place of zero, and where they are not zero.
-
-    Zero is what is below 1e-90 of the largest: steady states have 1e-100 for the variance of a state known exactly.
-    """
-    variance = np.diagonal(P, axis1=-2, axis2=-1)
-    varies = variance > 1e-90 * variance.max(axis=-1, keepdims=True, initial=0.0)
-    return np.sqrt(np.where(varies, variance, 1.0)), varies

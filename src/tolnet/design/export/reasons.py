@@ -58,6 +58,8 @@ class Reasons:
                 )
             case Status.DIVERGES:
                 return "the covariance grows without bound at this tolerance; a smaller one may have an answer"
+            case _ if filter.tolerance == 0:
+                return "a Kalman filter exists, but rounding leaves less than six digits of it: change the units"
             case _:
                 return "none was found at this tolerance; a smaller one may have an answer"
 
