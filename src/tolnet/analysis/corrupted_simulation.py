@@ -54,7 +54,8 @@ def simulate_corrupted(
     network.simulation allow (`walk_corrupted`). `filters` names some of CHANNEL_FILTERS, all without; DRKF-SWF takes
     its window and intervals (one for all, or one a node) from the network unless they are given. With `shared_path`
     all runs meet one path of noise on matrices, and P of DRKF and DRKF-SWF bounds their covariances given that path
-    (Definition 2.2); else every run has a path of its own, and the mean of P bounds the mean square error. `progress(done, total)` counts runs.
+    (Definition 2.2); else every run has a path of its own, and the mean of P bounds the mean square error.
+    `progress(done, total)` counts runs.
     Raises UnsupportedError for an unknown filter, ValueError for fewer than 2 runs or 1 step, a window below 1 or an
     interval below 0 (never), InputError where network.simulation contradicts the bounds.
     Source: eqs. (1)-(4), (13)-(18); docs/mathematics.md, sections 13.7 and 13.8.
