@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -138,3 +139,10 @@ def test_load_returns_what_was_written(tmp_path: Path) -> None:
     document = certificate("performance")
     file.write_text(json.dumps(document))
     assert load(str(file)) == document
+
+
+@pytest.mark.parametrize("exponent", [-3, -1, 0, 1, 5])
+def test_numbers_of_every_exponent_are_those_that_they_are(exponent: int) -> None:
+    matrix = checker.Matrix([[3, 1], [1, 5]], exponent)
+    assert matrix.trace() == 8 * Fraction(2) ** exponent
+    assert matrix.value(0, 1) == Fraction(2) ** exponent

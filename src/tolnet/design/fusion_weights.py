@@ -32,8 +32,8 @@ def choose_fusion_weights(
 
     `newton` is the method of analysis.solve_fusion_weights; `clarabel` and `cvxpy` solve the semidefinite program,
     one problem after the other. `auto` is `newton`, and `clarabel` for members where that does not reach the
-    certified gap. Whoever solved it: weights are clipped at zero and sum to one, and `status` says what the recomputed
-    gap and violation of them say; `or_reference()` falls back on Algorithm 1, which is `reference`.
+    certified gap. Whoever solved it: weights are clipped at zero and sum to one, and `status` says what the
+    recomputed gap and violation of them say; `or_reference()` falls back on Algorithm 1, which is `reference`.
     Shapes: (*stack, J, n, n) and (*stack, J). Raises InputError and ShapeError as analysis.solve_fusion_weights does.
     Source: eqs. (15)-(18); docs/mathematics.md, section 13.6.
     """
