@@ -41,6 +41,7 @@ def test_the_demo_writes_what_it_says_and_suggests_what_works(process: Tolnet, t
     paths = [Path(line.strip()) for line in written.split()]
     assert [path.name for path in paths] == [
         "projectile.toml", "table.json", "table.csv", "map.png", "performance.json", "performance.png",
+        "certificate.json",
     ]  # fmt: skip
     assert all((tmp_path / path).stat().st_size > 500 for path in paths)
     lines = [shlex.split(line) for line in suggested.splitlines()]
