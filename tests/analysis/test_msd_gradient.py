@@ -79,7 +79,8 @@ def test_gradients_agree_with_central_differences(seed: int, gains: bool):
         first, second = ((J(z + t * d) - J(z - t * d)) / (2 * t) for t in (h, 2 * h))
         assert (4 * first - second) / 3 == pytest.approx(g @ d, rel=1e-6, abs=1e-6 * np.abs(g * d).sum())
         moved = B.times(d)
-        assert d @ moved >= -1e-9 * np.abs(d * moved).sum()  # the model of the curvature is semidefinite
+        rounding = 1e-9 * np.abs(d * moved).sum() + 1e-14 * J(z)  # where J is linear in W only that is left
+        assert d @ moved >= -rounding  # the model of the curvature is semidefinite
         if gains:
             tail = slice(len(w), None)
             back = B.descent(B.times(d))
