@@ -22,7 +22,8 @@ from tolnet.analysis.stability_candidates import block_candidate
 from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.document import certificate_json
 from tolnet.certificates.eigenpair import sparse_block
-from tolnet.certificates.stability import Candidate, ExactNetwork, prove_stability
+from tolnet.certificates.exact_network import ExactNetwork
+from tolnet.certificates.stability import Candidate, prove_stability
 from tolnet.certificates.verdicts import Proved
 from tolnet.design.export import opening
 from tolnet.design.export.deployment import Deployment

@@ -20,8 +20,9 @@ from tolnet.analysis.stability_candidates import (
 from tolnet.certificates.check import check
 from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.eigenpair import refute_by_eigenpair
+from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.performance import prove_performance
-from tolnet.certificates.stability import Candidate, ExactNetwork, prove_stability, refute_stability
+from tolnet.certificates.stability import Candidate, prove_stability, refute_stability
 from tolnet.certificates.stated import stated_deployment
 from tolnet.certificates.switching import Scenario
 from tolnet.certificates.verdicts import Proved, Refuted, Undecided

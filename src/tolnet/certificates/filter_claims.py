@@ -145,7 +145,7 @@ def _tolerance(
 
 def _verdict(claim: str, node: Node, c: float, keys: Mapping[str, Any] | NotProved) -> Verdict:
     if isinstance(keys, NotProved):
-        statement = f"{claim} of {statements.who(node)} at the tolerance {c!r}"
+        statement = f"The claim {claim} of {statements.who(node)} at the tolerance {c!r}."
         return Undecided(claim, statement, keys.reason, node=node)
     rest = {key: value for key, value in keys.items() if key not in ("proof", "witness")}
     verdict = "proved" if "proof" in keys else "refuted"

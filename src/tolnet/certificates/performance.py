@@ -18,13 +18,9 @@ from numpy import ndarray
 
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
+from tolnet.certificates.exact_network import ExactNetwork, exact_network_matrix, process_covariance
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
-from tolnet.certificates.stability import (
-    ExactNetwork,
-    exact_network_matrix,
-    has_positive_diagonal,
-    process_covariance,
-)
+from tolnet.certificates.stability import has_positive_diagonal
 from tolnet.certificates.verdicts import Proved, Undecided
 
 _BITS = 30

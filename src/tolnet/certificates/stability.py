@@ -15,17 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 from scipy import sparse
 
 from tolnet.certificates import statements
-from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.exact import Exact, segment_sums
+from tolnet.certificates.exact_network import ExactNetwork, exact_network_matrix, exact_power
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
 from tolnet.certificates.verdicts import Proved, Refuted, Undecided
 
@@ -52,86 +51,6 @@ class Candidate:
     centre: Float[ndarray, "n n"] | None = None
     power: int = 1
     shares: sparse.csr_array | None = None
-
-
-class ExactNetwork:
-    """The exact matrices of a deployment from which its claims are decided."""
-
-    def __init__(self, deployed: Deployed) -> None:
-        self.deployed = deployed
-
-    @cached_property
-    def loops(self) -> Exact:
-        """M_k, (N, n, n)."""
-        return exact_loops(self.deployed)
-
-    @cached_property
-    def sizes(self) -> Exact:
-        """|w_lk|, one for each entry."""
-        return abs(Exact.of(self.deployed.weights))
-
-    @cached_property
-    def totals(self) -> Exact:
-        """sigma_k."""
-        return segment_sums(self.sizes, self.deployed.offsets)
-
-    @cached_property
-    def centre_loops(self) -> tuple[Exact, Exact]:
-        """F_0 = A - G C and F_e = F_0 + N T F_0. Assumes that a centre is stated."""
-        deployed = self.deployed
-        network, centre = deployed.network, deployed.centre
-        assert centre is not None
-        G, Y = Exact.of(centre.gain).T, Exact.of(centre.tilt)
-        F0 = Exact.of(network.A) - G @ Exact.of(network.C)
-        noise = process_covariance(deployed) + gain_covariance(deployed, centre.gain, centre.gain)
-        return F0, F0 + noise @ (Y @ (Y.T @ F0))
-
-    def heard(self, values: Exact, nodes: slice) -> Exact:
-        """sum_l |w_lk| values_l for the nodes k of a range."""
-        entries = slice(*self.deployed.offsets[[nodes.start, nodes.stop]].tolist())
-        l = self.deployed.neighbours[entries]
-        weighted = self.sizes[entries].reshape(-1, 1, 1) * values[l]
-        return segment_sums(weighted, self.deployed.offsets[nodes.start : nodes.stop + 1] - entries.start)
-
-    @cached_property
-    def hearers(self) -> tuple[Int[ndarray, " N1"], Int[ndarray, " L"]]:
-        """The entries sorted by l: offsets, and the entry numbers."""
-        order = np.argsort(self.deployed.neighbours, kind="stable")
-        counts = np.bincount(self.deployed.neighbours, minlength=self.deployed.N)
-        return np.concatenate([[0], np.cumsum(counts)]), order
-
-
-def exact_loops(deployed: Deployed) -> Exact:
-    """M_k = A - G_k C_k^loc, (N, n, n)."""
-    C = Exact.of(deployed.network.C)[deployed.sensor_rows]
-    product = Exact.of(deployed.gains).reshape(-1, deployed.n, 1) * C.reshape(-1, 1, deployed.n)
-    return Exact.of(deployed.network.A) - segment_sums(product, deployed.columns[deployed.offsets])
-
-
-def process_covariance(deployed: Deployed) -> Exact:
-    """Q, or B B' exactly where the problem gave B."""
-    if deployed.network.B is None:
-        return Exact.of(deployed.network.Q)
-    B = Exact.of(deployed.network.B)
-    return B @ B.T
-
-
-def gain_covariance(deployed: Deployed, left: Float[ndarray, "M n"], right: Float[ndarray, "M n"]) -> Exact:
-    """sum_l G_l R_l H_l' over all sensors, for two gains whose columns are the rows of `left` and `right`."""
-    network = deployed.network
-    total = Exact.of(np.zeros((network.n, network.n)))
-    for nodes, _, R in network.sensors.groups():
-        p = R.shape[1]
-        rows = network.rows[nodes, None] + np.arange(p)
-        factors = network.factors
-        by_factor = np.zeros(len(nodes), dtype=bool) if factors is None else factors.filled[nodes]
-        G, H = Exact.of(left[rows]).T, Exact.of(right[rows])
-        given = Exact.of(R[~by_factor])
-        total = total + (G[~by_factor] @ given @ H[~by_factor]).sum(0)
-        if factors is not None and by_factor.any():
-            D = Exact.of(np.stack([factors.block(k) for k in nodes[by_factor].tolist()]))
-            total = total + (G[by_factor] @ (D @ D.T) @ H[by_factor]).sum(0)
-    return total
 
 
 def prove_stability(
@@ -282,48 +201,6 @@ class _Attempt:
             proof["shares"] = [matrix_text(row) for row in np.split(shares.data, shares.indptr[1:-1])]
         proof[name] = symmetric_text(self.X) if method == "full" else [symmetric_text(X) for X in self.X]
         return proof if self.centre is None else {**proof, "centre": symmetric_text(self.centre)}
-
-
-def exact_network_matrix(network: ExactNetwork) -> Exact:
-    """The network block: (W' (x) I) diag(M_k), dense."""
-    deployed = network.deployed
-    N, n = deployed.N, deployed.n
-    weights, M = Exact.of(deployed.weights), network.loops
-    blocks = weights.reshape(-1, 1, 1) * M[deployed.neighbours]
-    dense = np.zeros((N, n, N, n), dtype=object)
-    dense[deployed.hearer, :, deployed.neighbours, :] = blocks.ints
-    return Exact(dense.reshape(N * n, N * n), blocks.exponent)
-
-
-def exact_power(network: ExactNetwork, j: int) -> list[tuple[Int[ndarray, " m"], Exact]]:
-    """For each node k the nodes l with a path of j links of non-zero weight to k, and the blocks (A^j)_kl."""
-    deployed = network.deployed
-    weights, M = Exact.of(deployed.weights), network.loops
-    blocks = weights.reshape(-1, 1, 1) * M[deployed.neighbours]
-    rows: list[dict[int, Exact]] = []
-    for k in range(deployed.N):
-        entries = range(*deployed.offsets[[k, k + 1]].tolist())
-        rows.append({int(deployed.neighbours[i]): blocks[i] for i in entries if deployed.weights[i] != 0})
-    power = rows
-    for _ in range(j - 1):
-        power = [_combined(row, rows) for row in power]
-    return [
-        (
-            np.array(sorted(row)),
-            Exact(np.stack([row[l].ints for l in sorted(row)]), next(iter(row.values())).exponent),
-        )
-        for row in power
-    ]
-
-
-def _combined(row: dict[int, Exact], rows: list[dict[int, Exact]]) -> dict[int, Exact]:
-    """sum_m row_m rows[m], by blocks; every block has one exponent."""
-    total: dict[int, Exact] = {}
-    for m, block in row.items():
-        for l, other in rows[m].items():
-            more = block @ other
-            total[l] = more if l not in total else total[l] + more
-    return total
 
 
 def refute_stability(

@@ -18,8 +18,9 @@ from numpy import ndarray
 
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact, segment_sums
+from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.numerals import matrix_text, shortened, symmetric_text
-from tolnet.certificates.stability import ExactNetwork, has_positive_diagonal
+from tolnet.certificates.stability import has_positive_diagonal
 from tolnet.certificates.verdicts import Proved, Undecided
 from tolnet.model.link_loss import Losses, reverse_entries
 

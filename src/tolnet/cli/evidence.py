@@ -24,14 +24,10 @@ from tolnet.analysis.stability_candidates import (
 )
 from tolnet.certificates import statements
 from tolnet.certificates.eigenpair import refute_by_eigenpair
+from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.numerals import number_text
 from tolnet.certificates.performance import MOST, exact_dynamics, prove_performance
-from tolnet.certificates.stability import (
-    Candidate,
-    ExactNetwork,
-    prove_stability,
-    refute_stability,
-)
+from tolnet.certificates.stability import Candidate, prove_stability, refute_stability
 from tolnet.certificates.switching import (
     Scenario,
     prove_link_losses,

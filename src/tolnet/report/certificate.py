@@ -106,7 +106,7 @@ def _words(group: Sequence[Verdict]) -> Iterator[str]:
             case "refuted":
                 yield f"- Refuted{more}: {first.statement}"
             case _:
-                yield f"- Undecided{more}: {first.statement} {getattr(first, 'reason', '')}"
+                yield f"- Undecided{more}: {first.statement} Why: {getattr(first, 'reason', '')}"
 
 
 def _what_if(members: Sequence[Verdict]) -> str:
