@@ -146,3 +146,26 @@ def test_numbers_of_every_exponent_are_those_that_they_are(exponent: int) -> Non
     matrix = checker.Matrix([[3, 1], [1, 5]], exponent)
     assert matrix.trace() == 8 * Fraction(2) ** exponent
     assert matrix.value(0, 1) == Fraction(2) ** exponent
+
+
+@pytest.mark.parametrize("size", [2, 12, 13, 20, 40])
+@pytest.mark.parametrize(
+    ("corner", "definite"),
+    [
+        ([[1, 1], [1, 1]], False),
+        ([[1, 1], [1, 2]], True),
+        ([[2, -2], [-2, 2]], False),
+        ([[0, 0], [0, 1]], False),
+        ([[-1, 0], [0, 1]], False),
+        ([[1, 2], [2, 1]], False),
+        ([[1 << 200, (1 << 200) - 1], [(1 << 200) - 1, 1 << 200]], True),
+        ([[1 << 200, 1 << 200], [1 << 200, 1 << 200]], False),
+    ],
+)
+def test_definiteness_on_the_edge(size: int, corner: list[list[int]], definite: bool) -> None:
+    rows = [[int(i == j) for j in range(size)] for i in range(size)]
+    for shift in (0, size - 2):
+        S = [list(row) for row in rows]
+        for i in (0, 1):
+            S[shift + i][shift : shift + 2] = corner[i]
+        assert checker.is_positive_definite(checker.Matrix(S, 0)) is definite
