@@ -20,7 +20,7 @@ from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
 from tolnet.certificates.exact_network import ExactNetwork, exact_network_matrix, process_covariance
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
-from tolnet.certificates.stability import has_positive_diagonal
+from tolnet.certificates.stability import has_positive_diagonal, largest_ratio
 from tolnet.certificates.verdicts import Proved, Undecided
 
 _BITS = 30
@@ -221,23 +221,13 @@ def _plan(
     Fe: Float[ndarray, "n n"],
 ) -> tuple[float, float, float] | None:
     """delta, the share p, and the scale of the centre's X, such that the inequalities should hold; or None."""
-    margin = 1 - max(_ratio(X, moved), _ratio(centre[None], (Fe @ centre @ Fe.T)[None]))
+    margin = 1 - max(largest_ratio(X, moved), largest_ratio(centre[None], (Fe @ centre @ Fe.T)[None]))
     if not margin > 0:
         return None
     share = float(f"{margin / 4:.2e}")
-    reach = _ratio(X, coupling @ centre @ coupling.mT)
+    reach = largest_ratio(X, coupling @ centre @ coupling.mT)
     scale = 1.0 if reach == 0 else min(1.0, 2.0 ** np.floor(np.log2(share * margin / 4 / reach)))
     return float(f"{margin / 4:.2e}"), share, float(scale)
-
-
-def _ratio(X: Float[ndarray, "K n n"], image: Float[ndarray, "K n n"]) -> float:
-    scale = np.sqrt(np.maximum(np.diagonal(X, axis1=1, axis2=2), 1e-300))
-    outer = scale[:, :, None] * scale[:, None, :]
-    try:
-        half = np.linalg.inv(np.linalg.cholesky(X / outer))
-    except np.linalg.LinAlgError:
-        return np.inf
-    return float(np.linalg.eigvalsh(half @ (image / outer) @ half.mT)[:, -1].max())
 
 
 def _down(x: Fraction) -> float:

@@ -118,10 +118,10 @@ class _Attempt:
         W = self.network.deployed.mixing
         stack = self.X if self.X.ndim == 3 else self.X[None]
         image = _image(self.candidate, self.X, loops, W)
-        ratio = _largest_ratio(stack, image) / self.rate ** (2 * self.candidate.power)
+        ratio = largest_ratio(stack, image) / self.rate ** (2 * self.candidate.power)
         if self.centre is not None:
             F = self.network.centre_loops[1].rounded()
-            ratio = max(ratio, _largest_ratio(self.centre[None], (F @ self.centre @ F.T)[None]) / self.rate**2)
+            ratio = max(ratio, largest_ratio(self.centre[None], (F @ self.centre @ F.T)[None]) / self.rate**2)
         return 1 - ratio
 
     def _primal(self, progress: Progress | None) -> str:
@@ -260,7 +260,7 @@ def _shorter(margin: float) -> float:
     return near if near <= margin else float(f"{near - 10.0 ** (np.floor(np.log10(margin)) - 2):.2e}")
 
 
-def _largest_ratio(X: Float[ndarray, "K n n"], image: Float[ndarray, "K n n"]) -> float:
+def largest_ratio(X: Float[ndarray, "K n n"], image: Float[ndarray, "K n n"]) -> float:
     """The largest eigenvalue of X^-1 image; inf where X is not positive definite."""
     scale = np.sqrt(np.maximum(np.diagonal(X, axis1=1, axis2=2), 1e-300))
     both = [Z / (scale[:, :, None] * scale[:, None, :]) for Z in (X, image)]
