@@ -334,9 +334,10 @@ def test_definiteness_is_decided_at_the_last_bit(size: int, condition: float) ->
 
 def test_zero_and_negative_matrices_are_not_definite() -> None:
     for size in (1, 3, 13, 20):
-        assert not is_positive_definite(Matrix.zero(size, size))
-        assert is_positive_definite(Matrix.unit(size))
-        assert not is_positive_definite(-1 * Matrix.unit(size))
+        unit = Matrix([[int(i == j) for j in range(size)] for i in range(size)])
+        assert not is_positive_definite(0 * unit)
+        assert is_positive_definite(unit)
+        assert not is_positive_definite(-1 * unit)
         ones = Matrix([[1] * size for _ in range(size)], 0)
         assert is_positive_definite(ones) is (size == 1)
         for diagonal, definite in ((3, True), (2, False), (1, False)):

@@ -25,7 +25,7 @@ from tolnet.certificates.verdicts import Refuted, Undecided
 
 _U = np.finfo(float).eps
 _RAISED = 1 + 1e-9
-_SHIPPED_UP_TO = 450
+_SHIPPED_UP_TO = 800
 """Dimension up to which the certificate holds B, so that check.py can verify it with the standard library."""
 _SHORT = 20
 MOST = 7000

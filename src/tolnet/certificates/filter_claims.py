@@ -163,12 +163,25 @@ _VERIFIERS: dict[tuple[str, str], Callable[[ExactFilter, dict[str, Any]], str | 
 }
 
 
+_OPENING = {"claim", "node", "verdict", "statement", "margin", "reason", "c"}
+_KEYS: dict[tuple[str, str], set[str]] = {
+    ("steady-state", "proved"): {"gain_error", "proof"},
+    ("attraction", "proved"): {"rate", "proof"},
+    ("attraction", "refuted"): {"witness"},
+    ("tolerance", "proved"): {"interval", "proof"},
+    ("convergence", "proved"): {"start", "proof"},
+    ("convergence-all", "proved"): {"proof"},
+}
+
+
 def verify(claim: dict[str, Any], filters: ExactFilters) -> str | None:
     """Why a claim about a filter does not hold as far as can be shown, in balls; None where it does.
 
     `claim` is an entry of a certificate. Whatever is malformed is a reason too.
     """
     try:
+        if claim.keys() != _OPENING | _KEYS[claim["claim"], claim["verdict"]]:
+            return "its keys are not those of such a claim"
         node = claim["node"]
         whole = type(node) is int and 0 <= node < filters.deployed.N
         if not (whole or node == "centre"):

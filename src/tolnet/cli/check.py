@@ -91,6 +91,7 @@ def _judged(document: Any, path: Path, console: Console) -> Iterator[Row]:
     """A row a claim: first by the stand-alone checker, then in balls what that leaves open."""
     from tolnet.certificates import check as checker
     from tolnet.certificates.statements import who
+    from tolnet.certificates.verify import can_verify
     from tolnet.model import InputError
 
     try:
@@ -98,8 +99,8 @@ def _judged(document: Any, path: Path, console: Console) -> Iterator[Row]:
             findings = checker.check(document, _watch(progress))
     except checker.Refused as refusal:
         raise InputError(str(refusal), source=str(path)) from None
-    in_balls = "kind" not in document["data"]
-    open_claims = [i for i, finding in enumerate(findings) if in_balls and finding.result == "not checked here"]
+    left = [i for i, finding in enumerate(findings) if finding.result == "not checked here"]
+    open_claims = [i for i in left if "kind" not in document["data"] and can_verify(document["claims"][i])]
     answers = dict(zip(open_claims, _in_balls(document, open_claims, console), strict=True))
     for i, finding in enumerate(findings):
         of = "the network" if finding.node is None else who(finding.node)
