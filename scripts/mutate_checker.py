@@ -1,6 +1,6 @@
 """Mutation testing of certificates/check.py: make one small fault at a time and see whether the tests notice.
 
-    python scripts/mutate_checker.py [--jobs 2] [--limit SECONDS] [--function NAME] [--survivors FILE]
+    python scripts/mutate_checker.py [--jobs 2] [--limit SECONDS] [--function NAME] [--among FILE] [--survivors FILE]
 
 The checker decides what people rely on, so its tests are tested too. Each mutant is compiled from a changed syntax
 tree and put in the place of the checker in a forked process, which runs the tests of tests/certificates in turn
@@ -70,6 +70,9 @@ class Mutant:
     fault: str
     path: Route
     change: Change
+
+    def __str__(self) -> str:
+        return f"{self.function}: {self.fault}"
 
     def tree(self, source: str) -> ast.Module:
         """The syntax tree that has the fault."""
@@ -218,6 +221,7 @@ STRIDE = {
     "test_intervals_are_as_narrow_as_the_proof_allows_and_no_narrower": 4,
     "test_random_networks_on_both_sides": 5,
     "test_nothing_but_a_refusal_or_a_finding_comes_out": 3,
+    "test_no_alteration_is_accepted_unless_it_is_true": 4,
 }
 NEED_A_PROCESS = {
     "test_it_runs_as_a_plain_file",
@@ -231,10 +235,17 @@ NEED_A_PROCESS = {
 def battery() -> list[tuple[str, Callable[[], None]]]:
     """The tests of the checker that need no process."""
     import pytest
-    from tests.certificates import test_alterations, test_check, test_hostile, test_soundness
+    from tests.certificates import (
+        test_alterations,
+        test_check,
+        test_hostile,
+        test_observability,
+        test_soundness,
+        test_thresholds,
+    )
 
     calls: list[tuple[str, Callable[[], None]]] = []
-    for module in (test_check, test_soundness, test_hostile, test_alterations):
+    for module in (test_check, test_soundness, test_thresholds, test_hostile, test_alterations, test_observability):
         for name, function in inspect.getmembers(module, inspect.isfunction):
             if not name.startswith("test_") or name in NEED_A_PROCESS:
                 continue
@@ -299,6 +310,9 @@ def main() -> int:
         "--limit", type=int, default=60, metavar="SECONDS", help="a mutant that takes longer is noticed"
     )
     parser.add_argument("--function", action="append", help="only the mutants of this function (may be repeated)")
+    parser.add_argument(
+        "--among", type=Path, help="only the mutants that this file names: the survivors of another run"
+    )
     parser.add_argument("--sample", type=int, default=0, help="only so many mutants, at random")
     parser.add_argument("--survivors", type=Path, help="write the survivors here, a line each")
     options = parser.parse_args()
@@ -322,6 +336,9 @@ def main() -> int:
 
     found = list(mutants(Path(str(module.__file__)).read_text(encoding="utf-8")))
     found = [mutant for mutant in found if not options.function or mutant.function in options.function]
+    if options.among:
+        named = set(options.among.read_text(encoding="utf-8").splitlines())
+        found = [mutant for mutant in found if str(mutant) in named]
     if options.sample:
         found = random.Random(0).sample(found, min(options.sample, len(found)))
     slow = 0
@@ -335,13 +352,13 @@ def main() -> int:
         slow += os.WIFSIGNALED(status)
         if status == 0:
             alive.append(mutant)
-            print(f"survives: {mutant.function}: {mutant.fault}", flush=True)
+            print(f"survives: {mutant}", flush=True)
         done = len(found) - len(waiting) - len(running)
         if done % 50 == 0:
             print(f"{done} of {len(found)}, {len(alive)} survive, {time.monotonic() - started:.0f} s", flush=True)
     print(f"{len(found)} mutants, {len(found) - len(alive)} noticed ({slow} by their time), {len(alive)} survive")
     if options.survivors:
-        lines = sorted(f"{mutant.function}: {mutant.fault}" for mutant in alive)
+        lines = sorted(map(str, alive))
         options.survivors.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return 0
 
