@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from tolnet.analysis.stacked import cholesky, finite_members, inverse, solve, symmetric_part
+from tolnet.analysis.stacked import cholesky, eigenvalues, inverse, solve, symmetric_part
 
 _SHRINK = 0.7
 """The part of any Omega(delta) that a step may remove: beyond, its quadratic model says nothing of the trace."""
@@ -281,8 +281,8 @@ class _System:
         at = self.at
         low = np.minimum((step.delta / at.delta).min(axis=1), (step.z / at.z).min(axis=1))
         if self.m:
-            spectrum = _eigenvalues(step.S * self.unit)
-            other = -1 - spectrum[:, -1] if opposite else _eigenvalues(step.Z * self.unit)[:, 0]
+            spectrum = eigenvalues(step.S * self.unit)
+            other = -1 - spectrum[:, -1] if opposite else eigenvalues(step.Z * self.unit)[:, 0]
             low = np.minimum(low, np.minimum(spectrum[:, 0], other))
         return _until(low)
 
@@ -292,7 +292,7 @@ class _System:
         change = root @ _combine(step.delta, self.at.Omega) @ root.mT
         low = -np.linalg.norm(change, axis=(1, 2))
         risky = np.flatnonzero(~(low >= -_SHRINK))
-        low[risky] = _eigenvalues(change[risky])[:, 0]
+        low[risky] = eigenvalues(change[risky])[:, 0]
         return _SHRINK * _until(low)
 
     def complementarity(self, step: _Step, reach: Float[ndarray, " B"]) -> Float[ndarray, " B"]:
@@ -312,13 +312,6 @@ class _System:
             at.S = at.S + A * symmetric_part(self.back @ step.S @ self.back.mT)
             at.Z = at.Z + A * symmetric_part(self.H.mT @ step.Z @ self.H)
             at.missing = (1 - A) * at.missing
-
-
-def _eigenvalues(X: Float[ndarray, "B m m"]) -> Float[ndarray, "B m"]:
-    """In rising order; NaN where X is not finite."""
-    finite = finite_members(X)
-    values = np.linalg.eigvalsh(X if finite.all() else np.where(finite[:, None, None], X, 0.0))
-    return np.where(finite[:, None], values, np.nan)
 
 
 def _until(low: Float[ndarray, " B"]) -> Float[ndarray, " B"]:

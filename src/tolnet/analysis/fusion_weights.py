@@ -1,16 +1,17 @@
-"""Covariance-intersection weights without an SDP solver, many problems at once: the front door and the frame."""
+"""Covariance-intersection weights without an SDP solver, many problems at once: the front door."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from tolnet.analysis.fusion_frame import frame
 from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, minimise
-from tolnet.analysis.stacked import cholesky, finite_members, inverse, symmetric_part
+from tolnet.analysis.fusion_room import bound_without_room
+from tolnet.analysis.stacked import finite_members
 from tolnet.model import FusionWeights, InputError, ShapeError
 from tolnet.model.fusion_weights import lower_bound
 
@@ -37,10 +38,11 @@ def solve_fusion_weights(
         P = (sum_j delta_j Omega_j)^-1,   delta >= 0,   sum_j delta_j = 1;   with `reference` a:   P <= Omega(a)^-1
 
     Omega_j >= 0 is the inverse of the j-th covariance; a slot without a pair is a zero matrix and gets no weight.
-    Assumes that Omega(a) > 0, or the mean of the Omega_j where there is no a. Newton's method on the optimality
-    conditions of the logarithmic barrier, with the multipliers beside the weights, until the relative `gap` of the
-    certificate is reached; statuses and residuals of the result are recomputed from the answer. Nothing else than the
-    reference weights is returned where they are optimal themselves.
+    Assumes that Omega(a) > 0, or the mean of the Omega_j where there is no a. Where a short proof says that P = P_0
+    is all that is allowed, the reference weights are the answer, after no iterations; else Newton's method on the
+    optimality conditions of the logarithmic barrier, with the multipliers beside the weights, until the relative
+    `gap` of the certificate is reached. Statuses and residuals of the result are recomputed from the answer. Nothing
+    else than the reference weights is returned where they are optimal themselves.
     Shapes: (*stack, J, n, n) and (*stack, J). `progress(done, total)` counts problems.
     Raises InputError for matrices that are not symmetric and for reference weights that are no weights, ShapeError
     where shapes do not fit.
@@ -51,13 +53,22 @@ def solve_fusion_weights(
     count = int(np.prod(stack))
     Omega = information.reshape(count, J, n, n)
     a = None if reference is None else reference.reshape(count, J)
-    weights, bound, iterations = np.empty((count, J)), np.empty(count), np.empty(count, dtype=int)
-    for start in range(0, count, BLOCK):
-        some = slice(start, start + BLOCK)
+    weights = np.full((count, J), 1 / J) if a is None else np.array(a)
+    bound, iterations = np.full(count, np.nan), np.zeros(count, dtype=int)
+    finite = np.flatnonzero(np.isfinite(Omega).all(axis=(1, 2, 3)))
+    if a is not None:
+        for some in _blocks(finite):
+            bound[some] = bound_without_room(Omega[some], a[some], gap)
+    rest = finite[np.isnan(bound[finite])]
+    done = count - len(rest)
+    for some in _blocks(rest):
+        if progress is not None:
+            progress(done, count)
         found = _solve_block(Omega[some], None if a is None else a[some], gap)
         weights[some], bound[some], iterations[some] = found.weights, found.bound, found.iterations
-        if progress is not None:
-            progress(min(start + BLOCK, count), count)
+        done += len(some)
+    if progress is not None:
+        progress(count, count)
     return FusionWeights(
         information=information,
         reference=reference,
@@ -66,33 +77,6 @@ def solve_fusion_weights(
         iterations=iterations.reshape(stack),
         method="newton",
     )
-
-
-class Frame(NamedTuple):
-    """The problem in the coordinates x = T y in which Omega of the start is the identity (section 13.6).
-
-    There tr P is tr(M P), M = T' T, which is divided by its trace: the objective starts at 1.
-    """
-
-    T: Float[ndarray, "B n n"]
-    Omega: Float[ndarray, "B J n n"]
-    M: Float[ndarray, "B n n"]
-    scale: Float[ndarray, " B"]
-    """tr P at the start."""
-
-    def back(self, Z: Float[ndarray, "K n n"], members: Int[ndarray, " K"]) -> Float[ndarray, "K n n"]:
-        """A multiplier of some members' constraint, in the coordinates of the problem."""
-        T = self.T[members]
-        return symmetric_part(T @ (self.scale[members, None, None] * Z) @ T.mT)
-
-
-def frame(information: Float[ndarray, "B J n n"], start: Float[ndarray, "B J"]) -> Frame:
-    """Change the coordinates; NaN where Omega(start) is not positive definite."""
-    T = inverse(cholesky(np.einsum("bj,bjkl->bkl", start, information))).mT
-    Omega = symmetric_part(T.mT[:, None] @ information @ T[:, None])
-    M = T.mT @ T
-    scale = np.trace(M, axis1=1, axis2=2)
-    return Frame(T, Omega, M / scale[:, None, None], scale)
 
 
 def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[ndarray, "*B J"] | None) -> None:
@@ -122,13 +106,19 @@ def _place(culprits: ndarray) -> str:
     return "".join(f"[{i}]" for i in np.argwhere(culprits)[0][:-2])
 
 
+def _blocks(members: Int[ndarray, " K"]) -> list[Int[ndarray, " k"]]:
+    return [members[start : start + BLOCK] for start in range(0, len(members), BLOCK)]
+
+
 def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> FusionWeights:
-    """Boldly, then carefully where that failed; the reference weights where they are optimal."""
-    found = _minimise(Omega, a, gap, BOLD)
-    again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
-    if again.size:
-        careful = _minimise(Omega[again], None if a is None else a[again], gap, CAREFUL)
-        found = found.with_members(again, careful)
+    """Without the constraint at first, then boldly, then carefully; the reference weights where they are optimal."""
+    constrained = a is not None
+    found = _minimise(Omega, a, gap, BOLD, constrained=False)
+    for haste in (BOLD, CAREFUL) if constrained else (CAREFUL,):
+        again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
+        if again.size:
+            some = None if a is None else a[again]
+            found = found.with_members(again, _minimise(Omega[again], some, gap, haste, constrained=constrained))
     if a is None:
         return found
     # feasible without rounding, and nothing new to tell anybody
@@ -139,30 +129,26 @@ def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | No
 
 
 def _minimise(
-    information: Float[ndarray, "B J n n"], reference: Float[ndarray, "B J"] | None, gap: float, haste: Haste
+    information: Float[ndarray, "B J n n"],
+    reference: Float[ndarray, "B J"] | None,
+    gap: float,
+    haste: Haste,
+    *,
+    constrained: bool,
 ) -> FusionWeights:
     """Solve in the frame of the start, and bring the multipliers back."""
     B, J, n, _ = information.shape
     start = np.full((B, J), 1 / J) if reference is None else reference
-    finite = np.asarray(np.isfinite(information).all(axis=(1, 2, 3)))
-    within = frame(np.where(finite[:, None, None, None], information, 0.0), start)
-    usable = np.flatnonzero(finite & finite_members(within.T))
+    within = frame(information, start)
+    usable = np.flatnonzero(finite_members(within.T))
     weights, Z, iterations = np.array(start), np.zeros((B, n, n)), np.zeros(B, dtype=int)
     if usable.size:
-        found = minimise(
-            within.Omega[usable], within.M[usable], constrained=reference is not None, gap=gap, haste=haste
-        )
+        found = minimise(within.Omega[usable], within.M[usable], constrained=constrained, gap=gap, haste=haste)
         weights[usable], iterations[usable] = without_empty(found.weights, information[usable]), found.iterations
         Z[usable] = within.back(found.multiplier, usable)
     found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
-    return FusionWeights(
-        information,
-        reference,
-        weights,
-        lower_bound(information, reference, found.covariance, Z),
-        iterations,
-        "newton",
-    )
+    bound = lower_bound(information, reference, found.covariance, Z)
+    return FusionWeights(information, reference, weights, bound, iterations, "newton")
 
 
 def without_empty(weights: Float[ndarray, "B J"], information: Float[ndarray, "B J n n"]) -> Float[ndarray, "B J"]:
