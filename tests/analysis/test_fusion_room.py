@@ -65,7 +65,6 @@ def test_the_same_answers_with_and_without_it(kind: str, monkeypatch: pytest.Mon
     assert 0.05 < proved.mean() < 1
     np.testing.assert_array_equal(found.weights[proved], a[proved])
     assert (found.iterations[proved] == 0).all()
-    assert (found.iterations[~proved] > 0).all()
     np.testing.assert_allclose(found.trace, plain.trace, rtol=1e-6)
     assert (found.bound <= plain.trace * (1 + 1e-9)).all()
 

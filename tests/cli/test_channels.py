@@ -156,7 +156,9 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
 
 def test_a_choice_is_simulated_from_the_file_that_it_wrote(tolnet: Tolnet, tmp_path: Path):
     designed, told = tmp_path / "designed.toml", tmp_path / "w.json"
-    ran = tolnet("window", "field", "--windows", "1,2", "--intervals", "1,4", "--steps", 40, "-o", designed, "-o", told)
+    ran = tolnet(
+        "window", "field", "--windows", "1,2", "--intervals", "1,4", "--steps", 40, "-o", designed, "-o", told
+    )
     assert f"tolnet simulate {designed} --filters DRKF,DRKF-SWF,CRKF" in ran.out
     nodes = json.loads(told.read_text())["nodes"]
     read = model.load_corrupted(designed)

@@ -39,10 +39,11 @@ def solve_fusion_weights(
 
     Omega_j >= 0 is the inverse of the j-th covariance; a slot without a pair is a zero matrix and gets no weight.
     Assumes that Omega(a) > 0, or the mean of the Omega_j where there is no a. Where a short proof says that P = P_0
-    is all that is allowed, the reference weights are the answer, after no iterations; else Newton's method on the
-    optimality conditions of the logarithmic barrier, with the multipliers beside the weights, until the relative
-    `gap` of the certificate is reached. Statuses and residuals of the result are recomputed from the answer. Nothing
-    else than the reference weights is returned where they are optimal themselves.
+    is all that is allowed, the reference weights are the answer, and one pair alone where that is optimal, both after
+    no iterations; else Newton's method on the optimality conditions of the logarithmic barrier, with the multipliers
+    beside the weights, until the relative `gap` of the certificate is reached. Statuses and residuals of the result
+    are recomputed from the answer. Nothing else than the reference weights is returned where they are optimal
+    themselves.
     Shapes: (*stack, J, n, n) and (*stack, J). `progress(done, total)` counts problems.
     Raises InputError for matrices that are not symmetric and for reference weights that are no weights, ShapeError
     where shapes do not fit.
@@ -111,14 +112,12 @@ def _blocks(members: Int[ndarray, " K"]) -> list[Int[ndarray, " k"]]:
 
 
 def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> FusionWeights:
-    """Without the constraint at first, then boldly, then carefully; the reference weights where they are optimal."""
-    constrained = a is not None
-    found = _minimise(Omega, a, gap, BOLD, constrained=False)
-    for haste in (BOLD, CAREFUL) if constrained else (CAREFUL,):
+    """One pair alone where that is it; else boldly, then carefully; the reference weights where they are optimal."""
+    found = _minimise(Omega, a, gap, BOLD) if a is None else _alone(Omega, a)
+    for haste in (CAREFUL,) if a is None else (BOLD, CAREFUL):
         again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
         if again.size:
-            some = None if a is None else a[again]
-            found = found.with_members(again, _minimise(Omega[again], some, gap, haste, constrained=constrained))
+            found = found.with_members(again, _minimise(Omega[again], None if a is None else a[again], gap, haste))
     if a is None:
         return found
     # feasible without rounding, and nothing new to tell anybody
@@ -128,13 +127,27 @@ def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | No
     return FusionWeights(Omega, a, weights, found.bound, found.iterations, "newton")
 
 
+def _alone(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"]) -> FusionWeights:
+    """All weight on the pair by which tr P falls fastest from the reference weights, and what that proves without Z.
+
+    Where that pair leaves no P, the reference weights.
+    """
+    nothing, none = np.full(len(a), np.nan), np.zeros(len(a), dtype=int)
+    P = FusionWeights(Omega, a, a, nothing, none, "newton").covariance
+    fastest = np.einsum("bjkl,bkl->bj", Omega, P @ P).argmax(axis=1)
+    weights = np.eye(a.shape[1])[fastest]
+    P = FusionWeights(Omega, a, weights, nothing, none, "newton").covariance
+    exists = finite_members(P)
+    weights = np.where(exists[:, None], weights, a)
+    bound = np.where(exists, lower_bound(Omega, None, P, np.zeros_like(P)), np.nan)
+    return FusionWeights(Omega, a, weights, bound, none, "newton")
+
+
 def _minimise(
     information: Float[ndarray, "B J n n"],
     reference: Float[ndarray, "B J"] | None,
     gap: float,
     haste: Haste,
-    *,
-    constrained: bool,
 ) -> FusionWeights:
     """Solve in the frame of the start, and bring the multipliers back."""
     B, J, n, _ = information.shape
@@ -143,7 +156,9 @@ def _minimise(
     usable = np.flatnonzero(finite_members(within.T))
     weights, Z, iterations = np.array(start), np.zeros((B, n, n)), np.zeros(B, dtype=int)
     if usable.size:
-        found = minimise(within.Omega[usable], within.M[usable], constrained=constrained, gap=gap, haste=haste)
+        found = minimise(
+            within.Omega[usable], within.M[usable], constrained=reference is not None, gap=gap, haste=haste
+        )
         weights[usable], iterations[usable] = without_empty(found.weights, information[usable]), found.iterations
         Z[usable] = within.back(found.multiplier, usable)
     found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
