@@ -15,7 +15,7 @@ from tolnet.analysis.stacked import finite_members
 from tolnet.model import FusionWeights, InputError, ShapeError
 from tolnet.model.fusion_weights import lower_bound
 
-BLOCK = 512
+BLOCK = 384
 """Problems that are solved together: their arrays stay in the cache."""
 _ASYMMETRY = 1e-8
 _WANTED = 1e-6
