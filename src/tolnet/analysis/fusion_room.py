@@ -18,6 +18,8 @@ Source: docs/mathematics.md, section 13.6.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
@@ -35,16 +37,24 @@ _RIDGE = 1e-14
 """Pairs that are alike leave equation 2 without a single answer; any will do."""
 
 
-def bound_without_room(
-    information: Float[ndarray, "B J n n"], reference: Float[ndarray, "B J"], gap: float
-) -> Float[ndarray, " B"]:
-    """A bound below tr P that is above (1 - `gap`) tr P_0 where P = P_0 was proved to be all; NaN elsewhere.
+class Room(NamedTuple):
+    """What was found out about the room beside the reference weights."""
+
+    bound: Float[ndarray, " B"]
+    """Below tr P: tr P_0 up to rounding where P = P_0 is all, less where there is hardly any room; NaN without X."""
+    none: Bool[ndarray, " B"]
+    """Where the bound says that the reference weights are optimal."""
+
+
+def prove_no_room(information: Float[ndarray, "B J n n"], reference: Float[ndarray, "B J"], gap: float) -> Room:
+    """Seek an X for every problem, until the reference weights are optimal up to a relative `gap`.
 
     Assumes finite, symmetric matrices and Omega(a) > 0; finds nothing otherwise.
     """
     bound, nu, rest = np.full(len(reference), np.nan), np.array(reference), np.arange(len(reference))
     within = frame(information, nu)
-    P_0 = within.T @ within.T.mT
+    P_0 = within.P
+    wanted = (1 - gap) * np.trace(P_0, axis1=1, axis2=2)
     for number in range(_ROUNDS):
         if number:
             within = frame(information[rest], nu[rest])
@@ -54,14 +64,13 @@ def bound_without_room(
         members = rest[clear]
         X = within.T[clear] @ (np.eye(D.shape[-1]) - D[clear]) @ within.T[clear].mT
         proved = _bound(information[members], reference[members], P_0[members], symmetric_part(X))
-        enough = proved >= (1 - gap) * np.trace(P_0[members], axis1=1, axis2=2)
-        bound[members[enough]] = proved[enough]
-        going = np.isnan(bound[rest]) & (spectrum[:, 0] < 0)
+        bound[members] = np.fmax(bound[members], proved)
+        going = ~(bound[rest] >= wanted[rest]) & (spectrum[:, 0] < 0)
         rest = rest[going]
         if not rest.size:
             break
         nu[rest] += _length(spectrum[going])[:, None] * d[going]
-    return bound
+    return Room(bound, bound >= wanted)
 
 
 def _step(within: Frame, free: Bool[ndarray, "B J"]) -> tuple[Float[ndarray, "B J"], Float[ndarray, "B n n"]]:

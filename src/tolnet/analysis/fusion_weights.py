@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from tolnet.analysis.fusion_frame import frame
 from tolnet.analysis.fusion_newton import BOLD, CAREFUL, Haste, minimise
-from tolnet.analysis.fusion_room import bound_without_room
+from tolnet.analysis.fusion_room import prove_no_room
 from tolnet.analysis.stacked import finite_members
 from tolnet.model import FusionWeights, InputError, ShapeError
 from tolnet.model.fusion_weights import lower_bound
@@ -57,15 +57,16 @@ def solve_fusion_weights(
     weights = np.full((count, J), 1 / J) if a is None else np.array(a)
     bound, iterations = np.full(count, np.nan), np.zeros(count, dtype=int)
     finite = np.flatnonzero(np.isfinite(Omega).all(axis=(1, 2, 3)))
+    settled = np.zeros(count, dtype=bool)
     if a is not None:
         for some in _blocks(finite):
-            bound[some] = bound_without_room(Omega[some], a[some], gap)
-    rest = finite[np.isnan(bound[finite])]
+            bound[some], settled[some] = prove_no_room(Omega[some], a[some], gap)
+    rest = finite[~settled[finite]]
     done = count - len(rest)
     for some in _blocks(rest):
         if progress is not None:
             progress(done, count)
-        found = _solve_block(Omega[some], None if a is None else a[some], gap)
+        found = _solve_block(Omega[some], None if a is None else a[some], bound[some], gap)
         weights[some], bound[some], iterations[some] = found.weights, found.bound, found.iterations
         done += len(some)
     if progress is not None:
@@ -111,8 +112,13 @@ def _blocks(members: Int[ndarray, " K"]) -> list[Int[ndarray, " k"]]:
     return [members[start : start + BLOCK] for start in range(0, len(members), BLOCK)]
 
 
-def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, gap: float) -> FusionWeights:
-    """One pair alone where that is it; else boldly, then carefully; the reference weights where they are optimal."""
+def _solve_block(
+    Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | None, known: Float[ndarray, " B"], gap: float
+) -> FusionWeights:
+    """One pair alone where that is it; else boldly, then carefully; the reference weights where they are optimal.
+
+    `known` are bounds that the reference weights may be measured by as well; NaN where there is none.
+    """
     found = _minimise(Omega, a, gap, BOLD) if a is None else _alone(Omega, a)
     for haste in (CAREFUL,) if a is None else (BOLD, CAREFUL):
         again = np.flatnonzero(~(found.ok & (found.gap <= _WANTED)) & np.isfinite(found.trace))
@@ -121,10 +127,11 @@ def _solve_block(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"] | No
     if a is None:
         return found
     # feasible without rounding, and nothing new to tell anybody
-    same = FusionWeights(Omega, a, a, found.bound, found.iterations, "newton")
-    prefer = same.ok & (same.trace <= found.trace * (1 + _SAME))
+    bound = np.fmax(found.bound, known)
+    same = FusionWeights(Omega, a, a, bound, found.iterations, "newton")
+    prefer = same.ok & (same.trace <= found.trace * (1 + _SAME)) | ~found.ok & (same.gap <= _WANTED)
     weights = np.where(prefer[:, None], a, found.weights)
-    return FusionWeights(Omega, a, weights, found.bound, found.iterations, "newton")
+    return FusionWeights(Omega, a, weights, np.where(prefer, bound, found.bound), found.iterations, "newton")
 
 
 def _alone(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"]) -> FusionWeights:
