@@ -87,11 +87,12 @@ def check_problems(information: Float[ndarray, "*B J n n"], reference: Float[nda
         raise ShapeError(
             f"information has shape {information.shape}; (..., J, n, n) was expected, J and n at least 1"
         )
-    scale = np.sqrt(np.einsum("...ii->...i", np.abs(information)))
-    with np.errstate(invalid="ignore"):
-        skew = np.abs(information - information.mT) > _ASYMMETRY * scale[..., :, None] * scale[..., None, :]
-    if skew.any():
-        raise InputError(f"information{_place(skew)} is not symmetric")
+    if (information != information.mT).any():  # mostly not, and then nothing large is allocated
+        scale = np.sqrt(np.abs(np.einsum("...ii->...i", information)))
+        with np.errstate(invalid="ignore"):
+            skew = np.abs(information - information.mT) > _ASYMMETRY * scale[..., :, None] * scale[..., None, :]
+        if skew.any():
+            raise InputError(f"information{_place(skew)} is not symmetric")
     if reference is None:
         return
     if reference.shape != information.shape[:-2]:
