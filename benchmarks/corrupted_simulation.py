@@ -24,6 +24,7 @@ CASES = (
     ("field", "DSEA-CP", 500, 4),
     ("field", "CRKF", 500, 10),
     ("field-50", "DRKF", 100, 1),
+    ("field-50", "DRKF-SWF", 20, 1),
 )
 
 

@@ -9,6 +9,7 @@ from tests.corrupted_networks import odd_network
 from tests.reference.corrupted_loop import LOOPS, Run
 
 from tolnet import model
+from tolnet.analysis import follow_window, fusion_window
 from tolnet.analysis.channel_filters import DrkfSwf, moments
 from tolnet.analysis.comparison_filters import scalar_gain
 from tolnet.analysis.corrupted_simulation import CHANNEL_FILTERS
@@ -162,9 +163,24 @@ def test_windows_and_intervals_of_nothing_are_algorithm_1():
     np.testing.assert_array_equal(P, plain_P)
 
 
-def test_weights_that_fail_their_check_leave_algorithm_1(monkeypatch: pytest.MonkeyPatch):
-    from tolnet.analysis import fusion_window
+def test_nodes_of_different_degree_in_one_stack(monkeypatch: pytest.MonkeyPatch):
+    """Slots without a pair fill it up; the same comes out, and nothing of a slot is seen."""
+    network = odd_network(window=3, interval=1)
+    degree = np.diff(network.fusion.indptr)
+    assert len(set(degree.tolist())) > 1
+    found = []
+    for enough in (1, 1_000):
+        monkeypatch.setattr(fusion_window, "_ENOUGH", enough)
+        found.append(follow_window(network, STEPS, window=np.array([1, 3, 3, 2, 3])))
+    apart, together = found
+    np.testing.assert_allclose(together.node_trace, apart.node_trace, rtol=1e-6)
+    assert (together.solves, together.fallbacks) == (apart.solves, apart.fallbacks) == (5 * STEPS, 0)
+    for node, (rows, weights) in together.solved.items():
+        np.testing.assert_array_equal(network.pairs[rows, 0], [node] * degree[node])
+        assert weights.sum() == pytest.approx(1, abs=1e-12)
 
+
+def test_weights_that_fail_their_check_leave_algorithm_1(monkeypatch: pytest.MonkeyPatch):
     network = odd_network(window=2, interval=1)
     walk = drawn(network)
     plain_x, _ = followed(network, "DRKF", walk)

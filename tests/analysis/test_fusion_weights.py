@@ -83,6 +83,33 @@ def test_where_the_reference_is_all_that_is_allowed_it_is_returned_as_it_is():
     assert found.ok.all()
 
 
+@pytest.mark.parametrize("better", [1.0, 1e-3])
+def test_one_pair_that_is_better_than_all_others_is_taken_alone(better: float):
+    """Not where another is worth a little, nor where it is not above the reference in every direction."""
+    rng = np.random.default_rng(10)
+    Omega, a = covariances(rng, 50, 4, 3), np.full((50, 4), 0.25)
+    Omega[:, 2] = Omega.sum(axis=1) + better * np.eye(3)
+    found = solve_fusion_weights(Omega, a)
+    np.testing.assert_array_equal(found.weights, np.eye(4)[[2] * 50])
+    assert (found.iterations == 0).all()
+    assert found.ok.all()
+    most = Omega[:, [0, 1, 3], 2, 2].max(axis=1)
+    Omega[:, 2] = 1e6 * np.diag([1.0, 1.0, 0.0])
+    Omega[:, 2, 2, 2] = 0.9 * most
+    for each in (solve_fusion_weights(Omega, a), solve_fusion_weights(Omega)):
+        assert each.ok.all()
+        assert (each.weights[:, 2] < 1).all()
+
+
+def test_a_pair_that_knows_nothing_of_one_state_is_no_answer_alone():
+    rng = np.random.default_rng(11)
+    Omega, a = covariances(rng, 20, 3, 3), np.full((20, 3), 1 / 3)
+    Omega[:, 0] = 1e3 * np.diag([1.0, 1.0, 0.0])
+    found = solve_fusion_weights(Omega, a)
+    assert found.ok.all()
+    assert (found.weights[:, 0] < 1).all()
+
+
 def test_identical_pairs_and_states_that_all_know_alike():
     same = np.broadcast_to(np.diag([1.0, 2.0, 3.0]), (5, 4, 3, 3))
     assert solve_fusion_weights(same, np.full((5, 4), 0.25)).ok.all()

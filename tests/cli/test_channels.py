@@ -11,6 +11,7 @@ import pytest
 from tests.cli.conftest import Tolnet
 
 from tolnet import analysis, design, model
+from tolnet.model.window_choice import NEVER
 
 FEW = ("--runs", 40, "--steps", 6, "--seed", 2)
 
@@ -145,12 +146,26 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
     ran = tolnet(*WINDOW, *outputs, "--plot", tmp_path / "w.png")
     assert ran.code == 0
     assert "below Algorithm 1" in ran.out
-    assert "tolnet simulate field --filters DRKF,DRKF-SWF,CRKF --window 1" in ran.out
+    assert "tolnet window field --windows 1,2 --intervals 1,4 --steps 12 -o designed.toml" in ran.out
     document = json.loads((tmp_path / "w.json").read_text())
     rows = list(csv.DictReader(line for line in (tmp_path / "w.csv").read_text().splitlines() if line[0] != "#"))
     assert [float(row["trace"]) for row in rows] == [node["trace"] for node in document["nodes"]]
     assert "# Windows of field" in (tmp_path / "w.md").read_text()
     assert (tmp_path / "w.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_choice_is_simulated_from_the_file_that_it_wrote(tolnet: Tolnet, tmp_path: Path):
+    designed, told = tmp_path / "designed.toml", tmp_path / "w.json"
+    ran = tolnet(
+        "window", "field", "--windows", "1,2", "--intervals", "1,4", "--steps", 40, "-o", designed, "-o", told
+    )
+    assert f"tolnet simulate {designed} --filters DRKF,DRKF-SWF,CRKF" in ran.out
+    nodes = json.loads(told.read_text())["nodes"]
+    read = model.load_corrupted(designed)
+    assert {node["window"] for node in nodes if node["interval"]} <= {read.window}
+    assert read.interval.tolist() == [node["interval"] or NEVER for node in nodes]
+    ran = tolnet("simulate", designed, "--runs", 3, "--steps", 8, "--filters", "DRKF-SWF", "--json")
+    assert ran.document["filters"]["DRKF-SWF"]["solves"] == 3 * (8 // read.interval).sum() > 0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.corrupted_networks import odd_network
@@ -10,7 +13,7 @@ from tolnet import model
 from tolnet.analysis import follow_window
 from tolnet.design import choose_window
 from tolnet.design.window import pair_bytes
-from tolnet.model import InputError
+from tolnet.model import InputError, UnsupportedError
 from tolnet.model.window_choice import WindowChoice
 
 
@@ -86,3 +89,36 @@ def test_misuse_is_refused_at_once():
         choose_window(network, windows=(0, 1))
     with pytest.raises(InputError, match=r"budget.solves is nan(.|\n)*steps is 1"):
         choose_window(network, {"solves": float("nan")}, steps=1)
+
+
+def test_one_window_for_all_is_what_a_problem_file_says(tmp_path: Path):
+    """Written, read and followed again: the same traces. Nodes of Algorithm 1 never solve."""
+    network = odd_network(2)
+    mixed = choose_window(network, windows=(1, 2, 3), intervals=(1, 3), steps=6)
+    choice = choose_window(network, windows=(1, 2, 3), intervals=(1, 3), steps=6, common_window=True)
+    lengths = {L for L, D in zip(choice.window.tolist(), choice.interval.tolist(), strict=True) if D}
+    assert len(lengths) == 1
+    best = min(point.trace for point in choice.front)
+    assert choice.trace <= 1.01 * 1.001 * best
+    assert mixed.trace <= 1.01 * best
+    model.save(choice.designed(), tmp_path / "designed.toml")
+    read = model.load_corrupted(tmp_path / "designed.toml")
+    history = follow_window(read, 6)
+    np.testing.assert_array_equal(history.node_trace[3:].mean(axis=0), choice.node_trace)
+    nothing = choose_window(network, {"solves": 0.0}, windows=(2,), intervals=(1,), steps=6, common_window=True)
+    assert follow_window(nothing.designed(), 6).solves == 0
+
+
+def test_different_windows_are_no_problem_file():
+    network = odd_network(2)
+    choice = choose_window(network, windows=(2,), intervals=(1,), steps=4)
+    mixed = replace(choice, window=np.array([1, 2, 3, 1, 1]), interval=np.array([1, 1, 0, 1, 1]))
+    with pytest.raises(UnsupportedError, match=r"windows of \[1, 2\] instants; a problem file has one for all"):
+        mixed.designed()
+    alike = replace(choice, window=np.array([2, 2, 3, 2, 2]), interval=np.array([1, 1, 0, 1, 1])).designed()
+    assert alike.window == 2
+    assert alike.interval.tolist()[:2] == [1, 1]
+    with pytest.raises(InputError, match=r"fusion\.window is 0"):
+        network.replaced(window=0)
+    with pytest.raises(InputError, match=r"sensors\[2\]\.interval is 0"):
+        network.replaced(interval=[1, 1, 0, 1, 1])

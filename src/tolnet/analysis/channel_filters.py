@@ -159,7 +159,8 @@ def follow_window(
         for group in each.sliding.solved:
             for number, node in enumerate(group.nodes.tolist()):
                 if group.accepted[0, number]:
-                    solved[node] = group.pairs[number], group.weights[0, number]
+                    pairs = slice(group.degree[number])
+                    solved[node] = group.pairs[number, pairs], group.weights[0, number, pairs]
         if step_done is not None:
             step_done(k)
     return WindowHistory(node_trace, each.P[0], solved, each.sliding.solves, each.sliding.fallbacks)

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from tolnet.analysis.stacked import cholesky, finite_members, inverse, solve, symmetric_part
+from tolnet.analysis.stacked import cholesky, eigenvalues, inverse, solve, symmetric_part
 
 _SHRINK = 0.7
 """The part of any Omega(delta) that a step may remove: beyond, its quadratic model says nothing of the trace."""
@@ -164,9 +164,9 @@ class _Slope(NamedTuple):
         return self if mask.all() else _Slope(*(each[mask] for each in self))
 
     def curvature(self, at: _Iterate) -> Float[ndarray, "B J J"]:
-        """The Hessian, 2 tr(Omega_j P Omega_k P M P)."""
-        flat = at.Omega.reshape(*at.delta.shape, -1)
-        return 2 * flat @ _between(self.P, at.side_by_side, self.N)
+        """The Hessian, 2 tr(Omega_j P Omega_k P M P), for unknowns d delta_j / delta_j."""
+        flat = at.Omega.reshape(*at.delta.shape, -1) * (2 * at.delta)[:, :, None]
+        return flat @ (_between(self.P, at.side_by_side, self.N) * at.delta[:, None, :])
 
 
 def _proven_gap(at: _Iterate, slope: _Slope) -> Float[ndarray, " B"]:
@@ -220,16 +220,16 @@ class _System:
         (self.B, self.J), self.m = at.delta.shape, at.S.shape[1]
         self.barrier = self.J + self.m
         product = at.delta * at.z
-        K = slope.curvature(at)
+        # unknowns d delta_j / delta_j: every row then has entries of one size
+        self.K = slope.curvature(at)
         self.D = np.zeros((self.B, 0))
         self.missing = self.diagonal = np.zeros((self.B, 0, 0))
         if self.m:
             self._scale()
-            K = K + self.scaled.mT @ self.scaled
+            self.K += self.scaled.mT @ self.scaled
         self.mu = (product.sum(axis=1) + (self.D**2).sum(axis=1)) / self.barrier
-        # unknowns d delta_j / delta_j: every row then has entries of one size
-        self.K = symmetric_part(K) * at.delta[:, :, None] * at.delta[:, None, :]
         self.K[:, np.arange(self.J), np.arange(self.J)] += product
+        self.unity: Float[ndarray, "B J"] | None = None
 
     def _scale(self) -> None:
         """Nesterov and Todd's coordinates, from the factors of S and Z without an inverse."""
@@ -238,7 +238,7 @@ class _System:
         U, self.D, Vt = np.linalg.svd(np.nan_to_num(R.mT @ L))
         root = np.sqrt(self.D)
         self.back, self.H = L @ Vt.mT / root[:, None, :], U.mT @ R.mT / root[:, :, None]
-        self.scaled = _between(self.H, at.side_by_side, self.H.mT)
+        self.scaled = _between(self.H, at.side_by_side, self.H.mT) * at.delta[:, None, :]
         self.missing = self.H @ at.missing @ self.H.mT
         self.between = (self.D[:, :, None] + self.D[:, None, :]) / 2
         self.diagonal = self.D[:, :, None] * np.eye(m)
@@ -262,15 +262,19 @@ class _System:
         if m:
             Y = target / self.between
             pull = (self.diagonal + Y - self.missing).reshape(self.B, 1, m * m) @ self.scaled
-            rows = rows + at.delta * pull[:, 0, :]
+            rows = rows + pull[:, 0, :]
         # a solve, no product with an inverse: what is left of these rows is what is left of equation 1
-        x, unity = np.moveaxis(solve(self.K, np.stack([rows, at.delta], axis=2)), 2, 0)
-        share = (x * at.delta).sum(axis=1) / (unity * at.delta).sum(axis=1)
-        ddelta = at.delta * (x - share[:, None] * unity)
+        if self.unity is None:  # the same for every direction from here
+            x, self.unity = np.moveaxis(solve(self.K, np.stack([rows, at.delta], axis=2)), 2, 0)
+        else:
+            x = solve(self.K, rows[:, :, None])[:, :, 0]
+        share = (x * at.delta).sum(axis=1) / (self.unity * at.delta).sum(axis=1)
+        relative = x - share[:, None] * self.unity
+        ddelta = at.delta * relative
         dz = (right - at.z * ddelta) / at.delta - at.z
         if not m:
             return _Step(ddelta, dz, self.missing, self.missing)
-        dS = (self.scaled @ ddelta[:, :, None]).reshape(self.B, m, m) + self.missing
+        dS = (self.scaled @ relative[:, :, None]).reshape(self.B, m, m) + self.missing
         return _Step(ddelta, dz, dS, Y - dS)
 
     def room(self, step: _Step, *, opposite: bool = False) -> Float[ndarray, " B"]:
@@ -281,8 +285,8 @@ class _System:
         at = self.at
         low = np.minimum((step.delta / at.delta).min(axis=1), (step.z / at.z).min(axis=1))
         if self.m:
-            spectrum = _eigenvalues(step.S * self.unit)
-            other = -1 - spectrum[:, -1] if opposite else _eigenvalues(step.Z * self.unit)[:, 0]
+            spectrum = eigenvalues(step.S * self.unit)
+            other = -1 - spectrum[:, -1] if opposite else eigenvalues(step.Z * self.unit)[:, 0]
             low = np.minimum(low, np.minimum(spectrum[:, 0], other))
         return _until(low)
 
@@ -292,7 +296,7 @@ class _System:
         change = root @ _combine(step.delta, self.at.Omega) @ root.mT
         low = -np.linalg.norm(change, axis=(1, 2))
         risky = np.flatnonzero(~(low >= -_SHRINK))
-        low[risky] = _eigenvalues(change[risky])[:, 0]
+        low[risky] = eigenvalues(change[risky])[:, 0]
         return _SHRINK * _until(low)
 
     def complementarity(self, step: _Step, reach: Float[ndarray, " B"]) -> Float[ndarray, " B"]:
@@ -312,13 +316,6 @@ class _System:
             at.S = at.S + A * symmetric_part(self.back @ step.S @ self.back.mT)
             at.Z = at.Z + A * symmetric_part(self.H.mT @ step.Z @ self.H)
             at.missing = (1 - A) * at.missing
-
-
-def _eigenvalues(X: Float[ndarray, "B m m"]) -> Float[ndarray, "B m"]:
-    """In rising order; NaN where X is not finite."""
-    finite = finite_members(X)
-    values = np.linalg.eigvalsh(X if finite.all() else np.where(finite[:, None, None], X, 0.0))
-    return np.where(finite[:, None], values, np.nan)
 
 
 def _until(low: Float[ndarray, " B"]) -> Float[ndarray, " B"]:

@@ -23,6 +23,9 @@ from tolnet.analysis.fusion_weights import solve_fusion_weights
 from tolnet.analysis.stacked import symmetric_part
 from tolnet.model import CorruptedNetwork
 
+_ENOUGH = 32
+"""Problems that make a stack worth its calls; a smaller one takes in nodes of other degrees."""
+
 
 class Received(NamedTuple):
     """The pairs of one instant s, carried along to the present, one a row of `network.pairs`."""
@@ -42,6 +45,8 @@ class Solved(NamedTuple):
     """The weights that some nodes found."""
 
     nodes: Int[ndarray, " K"]
+    degree: Int[ndarray, " K"]
+    """How many of the d slots of each are pairs; the others are empty, and have no weight."""
     pairs: Int[ndarray, "K d"]
     """The rows of `network.pairs` of each."""
     weights: Float[ndarray, "paths K d l"]
@@ -81,29 +86,37 @@ class SlidingWindow:
         """Keep what was received at instant k, and fuse."""
         self.kept.insert(0, current)
         fused, self.solved = fuse_current(self.network, current), []
-        for nodes, length in self._groups(k):
+        for nodes, length in self._groups(k, len(current.P)):
             self._solve(nodes, min(length, len(self.kept)), fused)
         return fused
 
-    def _groups(self, k: int) -> Iterator[tuple[Int[ndarray, " K"], int]]:
-        """The nodes that solve at instant k, by how many pairs they received and how long they keep them."""
+    def _groups(self, k: int, paths: int) -> Iterator[tuple[Int[ndarray, " K"], int]]:
+        """The nodes that solve at instant k together, and how long they keep pairs: about as many pairs each."""
         due = (self.interval > 0) & (k % np.maximum(self.interval, 1) == 0)
         degree = np.diff(self.network.fusion.indptr)
-        for d, length in sorted(set(zip(degree[due].tolist(), self.window[due].tolist(), strict=True))):
-            yield np.flatnonzero(due & (degree == d) & (self.window == length)), length
+        for length in np.unique(self.window[due]).tolist():
+            nodes = np.flatnonzero(due & (self.window == length))
+            nodes = nodes[np.argsort(degree[nodes], kind="stable")]
+            first = 0
+            for end in np.flatnonzero(np.diff(degree[nodes], append=0)) + 1:
+                if (end - first) * paths >= _ENOUGH or end == len(nodes):
+                    yield nodes[first:end], length
+                    first = end
 
     def _solve(self, nodes: Int[ndarray, " K"], length: int, fused: Fused) -> None:
-        """Eqs. (15)-(17) at nodes of one degree; `fused` is written where the weights are accepted."""
+        """Eqs. (15)-(17) at some nodes; `fused` is written where the weights are accepted."""
         network = self.network
-        start = network.fusion.indptr[nodes].astype(np.int64)
-        d = int(network.fusion.indptr[nodes[0] + 1] - start[0])
-        rows = start[:, None] + np.arange(d)
+        start, degree = network.fusion.indptr[nodes].astype(np.int64), np.diff(network.fusion.indptr)[nodes]
+        d = int(degree.max())
+        there = np.arange(d) < degree[:, None]
+        rows = start[:, None] + np.where(there, np.arange(d), 0)  # a slot without a pair: no information, no weight
         P = np.stack([pair.P[:, rows] for pair in self.kept[:length]], axis=2)  # paths, K, length, d, n, n
         x = np.stack([pair.x[:, rows] for pair in self.kept[:length]], axis=2)
         paths, K, n = len(P), len(nodes), network.n
-        information = symmetric_part(np.linalg.inv(P)).reshape(paths, K, length * d, n, n)
+        information = np.where(there[:, None, :, None, None], symmetric_part(np.linalg.inv(P)), 0.0)
+        information = information.reshape(paths, K, length * d, n, n)
         reference = np.zeros((paths, K, length, d))
-        reference[:, :, 0] = network.fusion.data[rows]
+        reference[:, :, 0] = np.where(there, network.fusion.data[rows], 0.0)
         found = solve_fusion_weights(information, reference.reshape(paths, K, length * d))
         self.solves += paths * K
         self.fallbacks += int((~found.ok).sum())
@@ -113,4 +126,4 @@ class SlidingWindow:
         fused.P[:, nodes] = better
         fused.x[:, nodes] = np.where(found.ok[..., None], (better @ total[..., None])[..., 0], fused.x[:, nodes])
         weights = np.moveaxis(found.weights.reshape(paths, K, length, d), 2, 3)
-        self.solved.append(Solved(nodes, rows, weights, found.ok))
+        self.solved.append(Solved(nodes, degree, rows, weights, found.ok))

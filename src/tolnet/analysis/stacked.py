@@ -61,6 +61,13 @@ def finite_members(X: Inexact[ndarray, "*K n m"]) -> Bool[ndarray, "*K"]:
     return np.asarray(np.isfinite(X).all(axis=(-1, -2)))
 
 
+def eigenvalues(X: Float[ndarray, "K n n"]) -> Float[ndarray, "K n"]:
+    """Of symmetric members, in rising order; NaN where X is not finite."""
+    finite = finite_members(X)
+    values = np.linalg.eigvalsh(X if finite.all() else np.where(finite[:, None, None], X, 0.0))
+    return np.where(finite[:, None], values, np.nan)
+
+
 def symmetric_eigen(P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, "K n"], Float[ndarray, "K n n"]]:
     """Eigenvalues in rising order and orthonormal eigenvectors; NaN eigenvalues where P is not finite.
 

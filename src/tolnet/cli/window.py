@@ -16,7 +16,8 @@ from tolnet.cli.solving import save_figure
 if TYPE_CHECKING:
     from tolnet.model.window_choice import WindowChoice
 
-SUFFIXES = (".json", ".csv", ".md")
+WINDOWS, INTERVALS, STEPS = "1,2,3", "1,2,5,10", 60
+SUFFIXES = (".json", ".csv", ".md", ".toml")
 
 
 def window(
@@ -28,9 +29,9 @@ def window(
             help="solves=X (a second and node; a step without plant.dt) or bytes=X (a link and step). Repeatable.",
         ),
     ] = None,
-    windows: Annotated[str, typer.Option(metavar="L,L", help="Window lengths to try.")] = "1,2,3",
-    intervals: Annotated[str, typer.Option(metavar="D,D", help="Intervals to try, in steps.")] = "1,2,5,10",
-    steps: Annotated[int, typer.Option(min=2, metavar="T", help="Steps to follow; the second half counts.")] = 60,
+    windows: Annotated[str, typer.Option(metavar="L,L", help="Window lengths to try.")] = WINDOWS,
+    intervals: Annotated[str, typer.Option(metavar="D,D", help="Intervals to try, in steps.")] = INTERVALS,
+    steps: Annotated[int, typer.Option(min=2, metavar="T", help="Steps to follow; the second half counts.")] = STEPS,
     plot: Plot = None,
     output: Outputs = None,
     json: AsJson = False,
@@ -39,13 +40,15 @@ def window(
     """Which fusion weights, window length and interval? A Pareto front of tr P against cost, and a choice a node.
 
     Every node takes the cheapest that is within the budget and as good for it as the best. -o takes .json, .csv (a
-    row a node) and .md.
+    row a node), .md and .toml, the problem with the choice in it: a file has one window for all nodes, which then
+    differ in their intervals only.
     """
     console = Console(json=json, quiet=quiet)
     outputs = output or []
     check_outputs(outputs, SUFFIXES, inputs=[problem], plot=plot)
     limits = _budget(budget or [])
     lengths, every = _numbers("--windows", windows), _numbers("--intervals", intervals)
+    designed = next((path for path in outputs if path.suffix.lower() == ".toml"), None)
     network = open_corrupted(problem, console)
 
     from tolnet import design
@@ -53,7 +56,13 @@ def window(
 
     with console.progress("windows") as progress:
         choice = design.choose_window(
-            network, limits, windows=lengths, intervals=every, steps=steps, progress=progress
+            network,
+            limits,
+            windows=lengths,
+            intervals=every,
+            steps=steps,
+            common_window=designed is not None,
+            progress=progress,
         )
     for path in outputs:
         _write(choice, path)
@@ -67,15 +76,21 @@ def window(
     console.show(*window_view(choice))
     console.wrote([*outputs, *([plot] if plot else [])])
     quoted = shlex.quote(problem)
-    L, D = int(choice.window.max()), int(choice.interval.max())
-    own = repeated(window=L, interval=D or None)
+    if designed is not None:
+        console.suggest(f"tolnet simulate {shlex.quote(str(designed))} --filters DRKF,DRKF-SWF,CRKF")
+        return
+    given = "".join(f" --budget {shlex.quote(text)}" for text in budget or [])
+    given += repeated(windows=windows if windows != WINDOWS else None)
+    given += repeated(intervals=intervals if intervals != INTERVALS else None)
+    given += repeated(steps=steps if steps != STEPS else None)
     console.suggest(
-        *([] if plot else [f"tolnet window {quoted} --plot window.png"]),
-        f"tolnet simulate {quoted} --filters DRKF,DRKF-SWF,CRKF{own}",
+        *([] if plot else [f"tolnet window {quoted}{given} --plot window.png"]),
+        f"tolnet window {quoted}{given} -o designed.toml",
     )
 
 
 def _write(choice: WindowChoice, path: Path) -> None:
+    from tolnet import model
     from tolnet.report.window import window_csv, window_document, window_markdown
 
     match path.suffix.lower():
@@ -83,6 +98,8 @@ def _write(choice: WindowChoice, path: Path) -> None:
             write(path, window_csv(choice))
         case ".md":
             write(path, window_markdown(choice))
+        case ".toml":
+            model.save(choice.designed(), path)
         case _:
             write(path, [render(window_document(choice))])
 

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from tolnet.analysis.fusion_weights import check_problems, frame, solve_fusion_weights, without_empty
+from tolnet.analysis.fusion_frame import frame
+from tolnet.analysis.fusion_weights import check_problems, solve_fusion_weights, without_empty
 from tolnet.analysis.stacked import symmetric_part
 from tolnet.design.fusion_sdp import solver_for
 from tolnet.model import FusionWeights

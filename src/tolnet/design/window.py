@@ -29,6 +29,7 @@ def choose_window(
     windows: Iterable[int] = WINDOWS,
     intervals: Iterable[int] = INTERVALS,
     steps: int = 60,
+    common_window: bool = False,
     progress: Progress | None = None,
 ) -> WindowChoice:
     """Choose the window length L_i and the interval Delta_i of every node for a budget, eqs. (13)-(18).
@@ -37,7 +38,8 @@ def choose_window(
     within the budget and within 0.1 % of the best for it, and the mixture is followed once more. Where that is worse
     than the best uniform pair by more than 1 %, since a node also gains by what its neighbours do, the uniform pair
     stands. Covariances only, over `steps` steps with a clean channel whose bounds are in force; traces are means
-    over the second half.
+    over the second half. With `common_window` nodes differ in their intervals only, as a problem file can say it
+    (`WindowChoice.designed`): L is the shortest with which all nodes alike are within 0.1 % of the best.
 
     `budget` limits `solves` (fusion problems per second and node; per step where plant.dt is missing) and `bytes`
     (per link and step: 8 (n + n (n + 1) / 2) for each pair that is kept of a neighbour and carried along).
@@ -62,9 +64,11 @@ def choose_window(
         tried.append(_point(network, L, interval, _late(history), limits))
         done += steps
     front = tuple(point._replace(on_front=_on_front(point, tried)) for point in tried)
-    window, interval = _cheapest(front)
+    within = [point for point in front if point.affordable]
+    within = _of_one_length(within) if common_window else within
+    window, interval = _cheapest(within)
     history = follow_window(network, steps, window, interval, step_done=step_done)
-    best = min((point for point in front if point.affordable), key=lambda point: point.trace)
+    best = min(within, key=lambda point: point.trace)
     if _late(history).mean() > 1.01 * best.trace:
         window, interval = np.full(network.N, best.window), np.full(network.N, best.interval)
         history = follow_window(network, steps, window, interval)
@@ -141,15 +145,20 @@ def _on_front(point: WindowPoint, others: Iterable[WindowPoint]) -> bool:
     )
 
 
-def _cheapest(front: Iterable[WindowPoint]) -> tuple[ndarray, ndarray]:
+def _of_one_length(within: list[WindowPoint]) -> list[WindowPoint]:
+    """Algorithm 1, and one length: the shortest with which all nodes alike do about as well as with any."""
+    solving = [point for point in within if point.interval]
+    least = min((point.trace for point in solving), default=np.inf)
+    shortest = min((point.window for point in solving if point.trace <= least * (1 + _AS_GOOD)), default=1)
+    return [point for point in within if not point.interval or point.window == shortest]
+
+
+def _cheapest(within: list[WindowPoint]) -> tuple[ndarray, ndarray]:
     """What every node takes: fewest solves first, then fewest bytes."""
-    affordable = sorted((point for point in front if point.affordable), key=lambda point: (point.solves, point.bytes))
-    traces = np.array([point.node_trace for point in affordable])
+    cheap = sorted(within, key=lambda point: (point.solves, point.bytes))
+    traces = np.array([point.node_trace for point in cheap])
     taken = (traces <= traces.min(axis=0) * (1 + _AS_GOOD)).argmax(axis=0)
-    return (
-        np.array([affordable[i].window for i in taken]),
-        np.array([affordable[i].interval for i in taken]),
-    )
+    return np.array([cheap[i].window for i in taken]), np.array([cheap[i].interval for i in taken])
 
 
 def _weights(network: CorruptedNetwork, history: WindowHistory) -> tuple[tuple[KeptPair, ...], ...]:

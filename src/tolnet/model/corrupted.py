@@ -250,10 +250,12 @@ class CorruptedNetwork(Nodes):
         multiplicative_variance: Any = None,
         estimate_noise: Any = None,
         matrix_noise: Any = None,
+        window: Any = None,
+        interval: Any = None,
     ) -> CorruptedNetwork:
-        """The same network with other fading, multiplicative noise or channel bounds, in the constructor's forms.
+        """The same network with other fading, multiplicative noise, channel bounds or windows.
 
-        Bounds that are given count for every link. Raises InputError as the constructor does.
+        In the constructor's forms; bounds that are given count for every link. Raises InputError as it does.
         """
         complaints, values = Complaints(), {}
         if fading_mean is not None or fading_variance is not None:
@@ -269,6 +271,11 @@ class CorruptedNetwork(Nodes):
         ):
             if given is not None:
                 values[letter] = parse_channel(name, given, (), self.pairs, self.n, complaints)
+        if window is not None:
+            values["window"] = whole(window, "fusion.window", complaints)
+        if interval is not None:
+            found = parse_intervals(interval, self.N, complaints)
+            values["interval"] = None if found is None else frozen(found)
         complaints.raise_if_any()
         return self._with(values)
 

@@ -56,13 +56,10 @@ class FusionWeights(_ReadOnly):
         """The least v >= 0 with P <= (1 + v) P_0 to first order: minus the least eigenvalue of P_0 P^-1 - I."""
         if self.reference is None:
             return np.zeros(self.weights.shape[:-1])
-        floor = _combine(self.reference, self.information)
-        slack = _combine(self.weights - self.reference, self.information)
-        root = _whitener(floor)
-        white = root.mT @ slack @ root
-        finite = np.asarray(np.isfinite(white).all(axis=(-1, -2)))
-        least = np.linalg.eigvalsh(np.where(finite[..., None, None], white, 0.0))[..., 0]
-        return np.asarray(np.where(finite, np.maximum(-least, 0.0), np.nan))
+        found = np.zeros(self.weights.shape[:-1])
+        moved = (self.weights != self.reference).any(axis=-1)
+        found[moved] = _violation(self.information[moved], self.reference[moved], self.weights[moved])
+        return found
 
     @cached_property
     def ok(self) -> Bool[ndarray, "*B"]:
@@ -113,6 +110,16 @@ def lower_bound(
     if reference is None:
         return np.asarray(bound)
     return np.asarray(bound + np.einsum("...ij,...ij->...", Z, _combine(reference, information)))
+
+
+def _violation(
+    information: Float[ndarray, "K J n n"], reference: Float[ndarray, "K J"], weights: Float[ndarray, "K J"]
+) -> Float[ndarray, " K"]:
+    root = _whitener(_combine(reference, information))
+    white = root.mT @ _combine(weights - reference, information) @ root
+    finite = np.asarray(np.isfinite(white).all(axis=(-1, -2)))
+    least = np.linalg.eigvalsh(np.where(finite[:, None, None], white, 0.0))[:, 0]
+    return np.where(finite, np.maximum(-least, 0.0), np.nan)
 
 
 def _combine(weights: Float[ndarray, "*B J"], information: Float[ndarray, "*B J n n"]) -> Float[ndarray, "*B n n"]:

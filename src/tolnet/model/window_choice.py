@@ -11,7 +11,11 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.model.corrupted import CorruptedNetwork
+from tolnet.model.errors import UnsupportedError
 from tolnet.model.results import _ReadOnly
+
+NEVER = 10**9
+"""An interval beyond any horizon: a problem file has no other word for Algorithm 1."""
 
 
 class WindowPoint(NamedTuple):
@@ -82,6 +86,16 @@ class WindowChoice(_ReadOnly):
     def gain(self) -> float:
         """The part of Algorithm 1's trace that is saved."""
         return 1 - self.trace / self.plain.trace
+
+    def designed(self) -> CorruptedNetwork:
+        """The network with these windows in it, which has one length for all nodes, and intervals a node.
+
+        Raises UnsupportedError where nodes that solve keep different lengths; `common_window` keeps them alike.
+        """
+        lengths = np.unique(self.window[self.interval > 0]).tolist() or [1]
+        if len(lengths) > 1:
+            raise UnsupportedError(f"nodes keep windows of {lengths} instants; a problem file has one for all")
+        return self.network.replaced(window=lengths[0], interval=np.where(self.interval, self.interval, NEVER))
 
     def method(self, i: int) -> str:
         """Which filter node i runs."""
