@@ -6,7 +6,8 @@ The checker decides what people rely on, so its tests are tested too. Each mutan
 tree and put in the place of the checker in a forked process, which runs the tests of tests/certificates in turn
 until one fails. What survives is printed; docs/decisions/0012-mutants-of-the-checker.md explains each survivor.
 
-Messages and the command line are left out: the tests of processes watch those.
+Messages and the command line are left out: the tests of processes watch those. So are limits of time and memory, and
+the guess of a factor: at worst they decline what is true.
 """
 
 from __future__ import annotations
@@ -31,7 +32,11 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 SYMMETRIC_IN_LOOKS = {"_congruence", "_norm", "_contains", "full", "zip", "_scaled"}
-NOT_MUTATED = {"_watched", "unwatched", "_line", "main"}  # what people see, not what is decided
+NOT_MUTATED = {
+    *("_watched", "unwatched", "_line", "main"),  # what people see, not what is decided
+    *("Clock", "_fits"),  # what is declined
+    "_guess",  # whatever it returns is verified
+}
 OPPOSITE: dict[type, tuple[type, ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),
     ast.LtE: (ast.Lt, ast.GtE),
@@ -85,13 +90,17 @@ def mutants(source: str) -> Iterator[Mutant]:
     """Every fault of the kinds below, one at a time."""
     tree = ast.parse(source)
     for path, node in _walk(tree, ()):
+        if isinstance(tree.body[path[0][1] or 0] if path else None, ast.Assign):
+            continue  # a limit, or another constant of the module
         for fault, change in _faults(node):
             yield Mutant(_function(tree, path), f"{fault}: {ast.unparse(node)[:90]!r}", path, change)
 
 
 def _walk(node: ast.AST, path: Route) -> Iterator[tuple[Route, ast.AST]]:
     """The nodes worth a fault: no messages, annotations or docstrings."""
-    if isinstance(node, ast.FunctionDef) and node.name in NOT_MUTATED:
+    if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name in NOT_MUTATED:
+        return
+    if isinstance(node, ast.Expr) and ast.unparse(node) == "Clock.check()":
         return
     if isinstance(node, ast.keyword) and node.arg == "strict":
         return  # zip(..., strict=True) only guards what has been checked before
@@ -222,6 +231,9 @@ STRIDE = {
     "test_random_networks_on_both_sides": 5,
     "test_nothing_but_a_refusal_or_a_finding_comes_out": 3,
     "test_no_alteration_is_accepted_unless_it_is_true": 4,
+    "test_the_rate_that_a_proof_reaches": 3,
+    "test_the_margin_that_switching_reaches": 4,
+    "test_the_contraction_that_performance_needs": 4,
 }
 NEED_A_PROCESS = {
     "test_it_runs_as_a_plain_file",
@@ -229,6 +241,13 @@ NEED_A_PROCESS = {
     "test_memory_stays_near_the_size_of_the_file",
     "test_messages_of_hostile_files_are_plain_text",
     "test_the_source_has_no_means_to_run_what_it_reads",
+    # of the clock, which waits
+    "test_too_many_sets_of_links_are_not_checked",
+    "test_too_many_steps_are_not_checked",
+    "test_many_scenarios_are_not_checked_for_ever",
+    "test_every_claim_counts_against_the_same_time",
+    "test_a_wide_tilt_takes_little_memory",
+    "test_a_window_beyond_all_means_is_declined",
 }
 
 
