@@ -65,7 +65,8 @@ def diffusion(
         typer.Option(metavar="A-B", help="A scenario for robust: this link is lost. Repeatable."),
     ] = None,
     method: Annotated[
-        Literal["auto", "quasi-newton", "ipopt"], typer.Option(help="How msd, worst and robust are minimised.")
+        Literal["auto", "quasi-newton", "ipopt", "sdp"],
+        typer.Option(help="How: quasi-newton or ipopt for MSD; sdp is a general solver for decay and mixing."),
     ] = "auto",
     compare: Annotated[bool, typer.Option("--compare", help="All rules and all objectives side by side.")] = False,
     add_links: Annotated[

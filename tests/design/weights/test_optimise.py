@@ -83,7 +83,7 @@ def test_it_is_admissible_better_than_every_start_and_what_it_says(small, best: 
     network, table = small
     W = check_admissible(best)
     drawn = {f"random-{number}" for number in (1, 2, 3, 4)}
-    assert {start.name for start in best.starts} == {*DIFFUSION_RULES, "decay", "mixing", *drawn}
+    assert {start.name for start in best.starts} == {*DIFFUSION_RULES, "decay", "mixing", "combination", *drawn}
     for start in best.starts:
         assert best.value <= start.value
         if start.name in DIFFUSION_RULES:
@@ -205,6 +205,8 @@ def test_bounds_on_own_weights_and_on_neighbours(small, best: Diffusion):
     own = np.linspace(0, 0.5, 6)
     bounded = design.optimise_diffusion(network, table, constraints=design.Constraints(own_weight=own))
     assert (check_admissible(bounded).diagonal() >= own - 1e-12).all()
+    alone = design.optimise_diffusion(network, table, constraints=design.Constraints(own_weight=1.0))
+    np.testing.assert_array_equal(alone.W.toarray(), np.eye(6))
     values = []
     for d in (1, 2, 6):
         few = design.optimise_diffusion(network, table, constraints=design.Constraints(max_neighbours=d))
@@ -229,6 +231,34 @@ def test_an_interrupt_keeps_the_best_so_far(small, best: Diffusion):
         assert found.interrupted
         check_admissible(found)
         assert found.value <= min(start.value for start in found.starts) * (1 + 1e-4)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"with_gains": True},
+        {"objective": "worst"},
+        {"constraints": design.Constraints(symmetric=True)},
+        {"constraints": design.Constraints(max_neighbours=2)},
+        {"method": "ipopt"},
+    ],
+)
+def test_an_interrupt_before_the_search_leaves_the_best_start(
+    small, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+):
+    network, table = small
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tolnet.design.weights.starts.design_mixing", stop)
+    found = design.optimise_diffusion(network, table, **asked)
+    assert found.interrupted
+    check_admissible(found)
+    assert {start.name for start in found.starts} == {*DIFFUSION_RULES, "decay"}
+    assert found.value == pytest.approx(min(start.value for start in found.starts), rel=1e-9)
+    assert all(np.isnan(start.found) for start in found.starts)
 
 
 def test_links_are_ranked_by_the_optimised_msd(small, best: Diffusion):
@@ -282,6 +312,8 @@ def test_covariance_intersection_is_optimal_column_by_column(small):
         ({"with_gains": True, "objective": "decay"}, "with_gains cannot be combined"),
         ({"constraints": design.Constraints(max_neighbours=2), "objective": "mixing"}, "max_neighbours cannot"),
         ({"constraints": design.Constraints(symmetric=True), "method": "quasi-newton"}, "need 'ipopt'"),
+        ({"method": "sdp"}, "method is 'sdp', which cannot be had for the objective 'msd'"),
+        ({"method": "ipopt", "objective": "decay"}, "method is 'ipopt', which cannot be had"),
     ],
 )
 def test_what_nothing_satisfies_is_refused(small, asked: dict, said: str):

@@ -93,7 +93,9 @@ class Admissible:
         excess = np.cumsum(np.where(finite, falling, 0.0), axis=1) - (1 - self.lower)[:, None]
         count = np.arange(1, V.shape[1] + 1)
         positive = finite & (falling * count > excess)
-        last = np.maximum(V.shape[1] - np.argmax(positive[:, ::-1], axis=1), 1)
+        last = np.where(
+            positive.any(axis=1), V.shape[1] - np.argmax(positive[:, ::-1], axis=1), 1
+        )  # none: nothing left
         threshold = excess[np.arange(len(V)), last - 1] / last
         rows = np.maximum(V - threshold[:, None], 0.0)
         return np.concatenate([columns.gather(rows) + base, z[L:]])
