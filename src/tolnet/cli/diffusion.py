@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from tolnet.design import Constraints
     from tolnet.design.weights.compare import Rival
     from tolnet.design.weights.topology import AddedLink
-    from tolnet.model import Ambiguity, Diffusion, SensorNetwork, ToleranceTable
+    from tolnet.model import Ambiguity, Complaint, Diffusion, SensorNetwork, ToleranceTable
 
 NO_ANSWER = 4
 SUFFIXES = (".csv", ".json", ".npz", ".toml")
@@ -54,7 +55,7 @@ def diffusion(
     own_weight: Annotated[float, typer.Option(metavar="W", help="Every w_kk is at least this.")] = 0.0,
     symmetric: Annotated[bool, typer.Option("--symmetric", help="w_lk = w_kl.")] = False,
     with_gains: Annotated[
-        bool, typer.Option("--with-gains", help="Every node's gain is designed too, for msd and worst.")
+        bool, typer.Option("--with-gains", help="Every node's gain is designed too, for msd, worst and robust.")
     ] = False,
     scenario_tolerance: Annotated[
         list[float] | None,
@@ -107,10 +108,11 @@ def diffusion(
     network = open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     constraints = _constraints(network, ambiguity, own_weight, max_neighbours, symmetric)
+    _check_combination(objective, constraints, with_gains, method, without_link)
     chosen = _chosen(network, nodes, objective)
     _check_scenarios(network, objective, scenario_tolerance, without_link)
     if add_links is not None:
-        _check_added(network, add_links, objective)
+        _check_added(network, add_links, objective, constraints, with_gains or nodes is not None)
 
     from tolnet import design
 
@@ -155,7 +157,7 @@ def _constraints(
 ) -> Constraints:
     """What is asked of W, in the words of the command line where nothing can satisfy it."""
     from tolnet.design import Constraints
-    from tolnet.model import Complaint, InputError, UnsupportedError
+    from tolnet.model import InputError, UnsupportedError
 
     if ambiguity.tau != 0:
         raise UnsupportedError(
@@ -165,9 +167,27 @@ def _constraints(
     try:
         constraints.check(network)
     except InputError as error:
-        named = [Complaint(f"--{c.key.replace('_', '-')}", c.message) for c in error.complaints]
-        raise InputError(named) from None
+        raise InputError(_as_options(error.complaints)) from None
     return constraints
+
+
+def _check_combination(
+    objective: str, constraints: Constraints, with_gains: bool, method: str, lost: list[str] | None
+) -> None:
+    """Raise for options that cannot be had together, before anything is computed."""
+    from tolnet.design.weights.optimise import complaints_of
+    from tolnet.model import InputError
+
+    complaints = complaints_of(objective, constraints, with_gains, method)
+    if complaints:
+        raise InputError(_as_options(complaints))
+    if with_gains and lost:
+        raise InputError("--with-gains cannot be combined with --without-link: its gains are on links")
+
+
+def _as_options(complaints: Sequence[Complaint]) -> list[Complaint]:
+    """The same in the words of the command line."""
+    return [replace(c, key=f"--{c.key.replace('_', '-')}") for c in complaints]
 
 
 def _chosen(network: SensorNetwork, nodes: str | None, objective: str) -> np.ndarray | None:
@@ -225,11 +245,16 @@ def _link(network: SensorNetwork, pair: str) -> tuple[int, int]:
     raise InputError(f"--without-link is {pair!r}; two nodes with a dash between them were expected")
 
 
-def _check_added(network: SensorNetwork, m: int, objective: str) -> None:
+def _check_added(network: SensorNetwork, m: int, objective: str, constraints: Constraints, more: bool) -> None:
     from tolnet.model import InputError
 
     if objective != "msd":
         raise InputError(f"--add-links ranks links by the MSD of the network; the objective is {objective!r}")
+    if more or constraints.symmetric or constraints.own_weight or constraints.max_neighbours is not None:
+        raise InputError(
+            "--add-links ranks links by what weights without constraints make of the whole network; it cannot be"
+            " combined with --with-gains, --nodes, --symmetric, --own-weight or --max-neighbours"
+        )
     lacking = network.N * (network.N - 1) // (1 if network.directed else 2) - len(network.links)
     if not 1 <= m <= lacking:
         raise InputError(f"--add-links is {m}; the graph lacks {lacking} links")

@@ -12,15 +12,15 @@ from scipy import sparse
 
 from tolnet.analysis import least_favourable_model
 from tolnet.analysis.msd_gradient import NetworkErrors
-from tolnet.design.weights.admissible import Constraints
+from tolnet.design.weights.admissible import Admissible, Constraints
 from tolnet.design.weights.general import search_general
 from tolnet.design.weights.msd import Criterion, MsdObjective
 from tolnet.design.weights.report import tell_msd, without_performance
-from tolnet.design.weights.search import Watch, search_msd
+from tolnet.design.weights.search import RANDOM, Search, Watch, search_msd
 from tolnet.design.weights.setting import Setting
 from tolnet.design.weights.sparsity import search_sparse
 from tolnet.design.weights.spectral import by_decay, by_mixing
-from tolnet.design.weights.starts import starting_weights
+from tolnet.design.weights.starts import Starts, starting_weights
 from tolnet.model import (
     OBJECTIVES,
     Complaint,
@@ -65,7 +65,7 @@ def optimise_diffusion(
         mixing   |W - 11'/N|
 
     MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre.
-    `with_gains` makes every node's gain a variable too, on its own neighbours.
+    `with_gains` makes every node's gain a variable too, on its own neighbours: one gain for all scenarios.
     `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT; for `decay`
     and `mixing` what solves their semidefinite programs fastest, and `sdp` is CVXPY with Clarabel, their reference.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
@@ -90,6 +90,20 @@ def optimise_diffusion(
     return _by_msd(at, objective, tables, criterion, with_gains, method, watch)
 
 
+def _gains_on_links_in_use(
+    problem: MsdObjective, among: Admissible, sparse: Search, starts: Starts, watch: Watch
+) -> Search:
+    """The gains too, with the links that the search for weights left in use; sensors are heard over all links."""
+    assert sparse.z is not None
+    narrow = among.narrowed(sparse.z > 0)
+    random = {name: w for name, w in starts.items() if name.startswith(RANDOM)}
+    begin = {sparse.best_start: sparse.z, **random}
+    found = search_msd(problem, narrow, begin, most=1, tolerance=TOLERANCE, watch=watch)
+    found.starts, found.history = sparse.starts, [*sparse.history, *found.history]
+    found.evaluations += sparse.evaluations
+    return found
+
+
 def _check(
     network: SensorNetwork,
     table: ToleranceTable,
@@ -101,16 +115,13 @@ def _check(
     constraints: Constraints,
 ) -> None:
     """Raise for arguments that do not fit each other, before anything is computed."""
-    complaints = []
     if objective not in OBJECTIVES:
         raise UnsupportedError(f"objective is {objective!r}; expected {', '.join(map(repr, OBJECTIVES))}")
     if method not in get_args(Method):
         raise UnsupportedError(f"method is {method!r}; expected {', '.join(map(repr, get_args(Method)))}")
     if table.tau != 0:
         raise UnsupportedError(f"the least favourable model is defined for tau = 0 only (tau is {table.tau:g})")
-    by_msd = objective in ("msd", "worst", "robust")
-    if method not in ("auto", *(("quasi-newton", "ipopt") if by_msd else ("sdp",))):
-        complaints.append(Complaint("method", f"is {method!r}, which cannot be had for the objective {objective!r}"))
+    complaints = complaints_of(objective, constraints, with_gains, method)
     if nodes is not None:
         a = np.asarray(nodes, dtype=float)
         if objective != "msd":
@@ -123,22 +134,34 @@ def _check(
         other = scenario.network
         if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
             complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
-    if with_gains and objective not in ("msd", "worst"):
+        if with_gains and sparse.csr_array(other.adjacency != network.adjacency).nnz:
+            complaints.append(Complaint("with_gains", "needs the links that its gains are on in every scenario"))
+    if complaints:
+        raise InputError(complaints)
+    constraints.check(network)
+
+
+def complaints_of(objective: str, constraints: Constraints, with_gains: bool, method: str) -> list[Complaint]:
+    """What cannot be had together, whatever the network."""
+    complaints = []
+    by_msd = objective in ("msd", "worst", "robust")
+    if method not in ("auto", *(("quasi-newton", "ipopt") if by_msd else ("sdp",))):
+        complaints.append(Complaint("method", f"is {method!r}, which cannot be had for the objective {objective!r}"))
+    if with_gains and not by_msd:
         complaints.append(Complaint("with_gains", f"cannot be combined with the objective {objective!r}"))
-    general = method == "ipopt" or constraints.symmetric
-    if with_gains and (general or constraints.max_neighbours is not None):
-        complaints.append(Complaint("with_gains", "cannot be combined with ipopt, symmetric or max_neighbours"))
-    if general and constraints.max_neighbours is not None and not constraints.symmetric:
-        complaints.append(Complaint("max_neighbours", "cannot be combined with ipopt"))
+    if with_gains and constraints.symmetric:
+        complaints.append(Complaint("with_gains", "cannot be combined with symmetric weights"))
+    if with_gains and method == "ipopt":
+        complaints.append(Complaint("with_gains", "cannot be combined with the method 'ipopt'"))
+    if method == "ipopt" and constraints.max_neighbours is not None and not constraints.symmetric:
+        complaints.append(Complaint("max_neighbours", "cannot be combined with the method 'ipopt'"))
     if constraints.symmetric and method == "quasi-newton" and by_msd:
         complaints.append(Complaint("method", "is 'quasi-newton'; symmetric weights need 'ipopt'"))
     if constraints.max_neighbours is not None and not by_msd:
         complaints.append(Complaint("max_neighbours", f"cannot be combined with the objective {objective!r}"))
     if constraints.symmetric and objective == "decay":
         complaints.append(Complaint("symmetric", "cannot be combined with the objective 'decay'"))
-    if complaints:
-        raise InputError(complaints)
-    constraints.check(network)
+    return complaints
 
 
 def _by_msd(
@@ -152,10 +175,10 @@ def _by_msd(
 ) -> Diffusion:
     network, among = at.network, at.among
     models = [at.model if t is at.table else least_favourable_model(t.network, t.central) for t in tables]
-    scenarios = [
-        NetworkErrors(t.network, t.local, model, columns=among.columns)
-        for t, model in zip(tables, models, strict=True)
-    ]
+    scenarios: list[NetworkErrors] = []
+    for t, model in zip(tables, models, strict=True):
+        unit = scenarios[0].unit if scenarios else None  # gains of all scenarios are the same numbers
+        scenarios.append(NetworkErrors(t.network, t.local, model, columns=among.columns, unit=unit))
     lacking = next((s for s in scenarios if not s.exists), None)
     if lacking is not None:
         return without_performance(at, objective, lacking.status, lacking.reason)
@@ -169,7 +192,10 @@ def _by_msd(
     if symmetric or method == "ipopt":
         found = search_general(problem, among, starts, symmetric=symmetric, most=most, watch=watch)
     elif d is not None and d < network.degree.max():
-        found = search_sparse(problem, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
+        alone = MsdObjective(scenarios, criterion)
+        found = search_sparse(alone, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
+        if with_gains and found.z is not None and not found.interrupted:
+            found = _gains_on_links_in_use(problem, among, found, starts, watch)
     else:
         found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)
     found.interrupted |= cut_short
