@@ -97,6 +97,25 @@ def test_the_certificate_is_better_than_any_start_and_no_better_than_its_bound()
     assert radius <= found.value
 
 
+def test_an_interrupt_asks_no_solver_any_more(monkeypatch: pytest.MonkeyPatch):
+    """It may have come while CVXPY was being imported, which leaves a part of it that fails."""
+    network, table = unstable_weightings(UNSTABLE_SEEDS[0])
+
+    def stop(*_: object) -> None:
+        monkeypatch.setattr("tolnet.design.weights.decay.solve_program", forbidden)
+        raise KeyboardInterrupt
+
+    def forbidden(problem: object) -> bool:
+        raise AssertionError("a solver was asked")
+
+    monkeypatch.setattr("tolnet.design.weights.decay_programs.solve_program", stop)
+    found = design.optimise_diffusion(network, table, "decay")
+    assert found.interrupted
+    assert (found.bound, found.value) == (0, pytest.approx(min(start.value for start in found.starts), rel=1e-4))
+    assert found.certificate is not None
+    assert naive_margin(found.certificate.X, local_loops(table), found.W.toarray(), found.value) > 0
+
+
 def _diagonal(M: ndarray) -> ndarray:
     N, n, _ = M.shape
     full = np.zeros((N, n, N, n))

@@ -45,7 +45,7 @@ class DecayDesign(NamedTuple):
     W: sparse.csr_array
     certificate: DecayCertificate
     bound: float
-    """No W has a better rate with these X_k; by the dual of the W step."""
+    """No W has a better rate with these X_k; by the dual of the W step. 0 after Ctrl-C."""
     before: float
     """The rate before the last step made W exactly admissible."""
     starts: dict[str, float]
@@ -182,7 +182,7 @@ def design_decay(
     W = make_admissible(among, w)
     final = np.asarray(W[columns.sender, columns.hearer]).ravel()
     certificate = certify(moments, final)
-    bound = rate_bound(moments, among, certificate)
+    bound = 0.0 if interrupted else rate_bound(moments, among, certificate)  # CVXPY may be half imported then
     rates = {name: float(np.sqrt(value)) for name, value in radii.items()}
     return DecayDesign(
         W, certificate, bound, float(np.sqrt(radius * (1 + MARGIN))), rates, best_start, history, interrupted
