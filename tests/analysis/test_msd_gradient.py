@@ -87,6 +87,23 @@ def test_gradients_agree_with_central_differences(seed: int, gains: bool):
             assert np.linalg.norm(back[tail] - d[tail]) <= 1e-3 * np.linalg.norm(d[tail])
 
 
+def test_models_of_the_curvature_add():
+    """Exactly for the weights and for gains that are alike; definite where they are not."""
+    _, _, errors = instance(2)
+    rng = np.random.default_rng(0)
+    z = np.concatenate([random_weights(errors, rng), errors.gains])
+    other = np.concatenate([random_weights(errors, rng), 0.8 * errors.gains])
+    a, b = rng.uniform(size=(2, errors.K))
+    one = errors.gradient(errors.solve(z), a, b, gains=True)[1]
+    two = errors.gradient(errors.solve(other), a, b, gains=True)[1]
+    L = errors.columns.offsets[-1]
+    for d in rng.normal(size=(5, len(z))):
+        np.testing.assert_allclose((one + one).times(d), 2 * one.times(d), rtol=1e-9, atol=1e-12)
+        both = (one + two).times(d)
+        np.testing.assert_allclose(both[:L], (one.times(d) + two.times(d))[:L], rtol=1e-9, atol=1e-12)
+        assert d[L:] @ both[L:] > 0
+
+
 def test_a_gradient_without_one_term_is_seen():
     """The mutant: forgetting that the centre's error drives the nodes, the difference is far above the tolerance."""
     _, _, errors = instance(2)

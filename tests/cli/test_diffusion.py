@@ -154,7 +154,21 @@ def test_scenarios_and_constraints(tolnet: Tolnet, small: Path):
         (["--add-links", "9"], "the graph lacks 3 links"),
         (["-o", "w.txt"], "w.txt: has the suffix '.txt'"),
         (["--certificate", "c.csv"], "c.csv: has the suffix '.csv'"),
-        (["--with-gains", "--objective", "mixing"], "with_gains cannot be combined with the objective 'mixing'"),
+        (["--with-gains", "--objective", "mixing"], "--with-gains cannot be combined with the objective 'mixing'"),
+        (["--with-gains", "--symmetric"], "--with-gains cannot be combined with symmetric weights"),
+        (
+            ["--with-gains", "--objective", "robust", "--without-link", "0-1"],
+            "--with-gains cannot be combined with --without-link",
+        ),
+        (["--method", "sdp"], "--method is 'sdp', which cannot be had for the objective 'msd'"),
+        (["--own-weight", "-1"], "--own-weight is -1 at node 0: no lower bound on a weight; 0 to 1 was expected"),
+        (["--max-neighbours", "2", "--objective", "decay"], "--max-neighbours cannot be combined with the objective"),
+        (["--add-links", "1", "--with-gains"], "--add-links ranks links by what weights without constraints make"),
+        (
+            ["--add-links", "1", "--own-weight", "0.2"],
+            "combined with --with-gains, --nodes, --symmetric",
+        ),
+        (["--add-links", "0"], "--add-links is 0; the graph lacks 3 links"),
     ],
 )
 def test_bad_options_are_refused(options: list[str], said: str, tolnet: Tolnet, small: Path, tmp_path: Path):

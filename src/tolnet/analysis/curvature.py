@@ -111,6 +111,13 @@ class GainCurvature:
     node: Int[ndarray, " H"]
     channel: Int[ndarray, " H"]
 
+    def __add__(self, other: GainCurvature) -> GainCurvature:
+        """Near the sum, which is no Kronecker product: the D_k are averaged as their adjoints weigh."""
+        first, second = (np.trace(each.adjoint, axis1=1, axis2=2) for each in (self, other))
+        share = (first / np.maximum(first + second, np.finfo(float).tiny))[:, None, None]
+        inner = share * self.inner + (1 - share) * other.inner
+        return GainCurvature(self.adjoint + other.adjoint, inner, self.channels, self.node, self.channel)
+
     def times(self, H: Float[ndarray, "n H"]) -> Float[ndarray, "n H"]:
         """2 Y_0,kk H_k Sigma_k."""
         f = self.channels[self.channel]
@@ -168,8 +175,9 @@ class Curvature:
         return cls(columns, np.where(here[:, :, None] & here[:, None, :], centred, 0.0), gains)
 
     def __add__(self, other: Curvature) -> Curvature:
-        """Of a sum; for weights alone."""
-        return Curvature(self.columns, self.weights + other.weights)
+        """Of a sum."""
+        gains = [one + another for one, another in zip(self.gains, other.gains, strict=True)]
+        return Curvature(self.columns, self.weights + other.weights, gains)
 
     @cached_property
     def scale(self) -> Float[ndarray, " K"]:

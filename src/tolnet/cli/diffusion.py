@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from tolnet.cli.console import Console, complain
+from tolnet.cli.diffusion_options import (
+    check_added,
+    check_combination,
+    check_scenarios,
+    chosen_nodes,
+    constraints_of,
+    scenario_tables,
+)
 from tolnet.cli.documents import render, write
 from tolnet.cli.options import (
     AsJson,
@@ -26,14 +34,10 @@ from tolnet.cli.options import (
 from tolnet.cli.solving import save_figure, solve_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy as np
-
     from tolnet.design import Constraints
     from tolnet.design.weights.compare import Rival
     from tolnet.design.weights.topology import AddedLink
-    from tolnet.model import Ambiguity, Diffusion, SensorNetwork, ToleranceTable
+    from tolnet.model import Ambiguity, Diffusion
 
 NO_ANSWER = 4
 SUFFIXES = (".csv", ".json", ".npz", ".toml")
@@ -54,7 +58,7 @@ def diffusion(
     own_weight: Annotated[float, typer.Option(metavar="W", help="Every w_kk is at least this.")] = 0.0,
     symmetric: Annotated[bool, typer.Option("--symmetric", help="w_lk = w_kl.")] = False,
     with_gains: Annotated[
-        bool, typer.Option("--with-gains", help="Every node's gain is designed too, for msd and worst.")
+        bool, typer.Option("--with-gains", help="Every node's gain is designed too, for msd, worst and robust.")
     ] = False,
     scenario_tolerance: Annotated[
         list[float] | None,
@@ -65,7 +69,8 @@ def diffusion(
         typer.Option(metavar="A-B", help="A scenario for robust: this link is lost. Repeatable."),
     ] = None,
     method: Annotated[
-        Literal["auto", "quasi-newton", "ipopt"], typer.Option(help="How msd, worst and robust are minimised.")
+        Literal["auto", "quasi-newton", "ipopt", "sdp"],
+        typer.Option(help="How: quasi-newton or ipopt for MSD; sdp is a general solver for decay and mixing."),
     ] = "auto",
     compare: Annotated[bool, typer.Option("--compare", help="All rules and all objectives side by side.")] = False,
     add_links: Annotated[
@@ -105,18 +110,19 @@ def diffusion(
         check_outputs([gain_table], [".npz"], inputs=[problem, *map(str, outputs)])
     network = open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
-    constraints = _constraints(network, ambiguity, own_weight, max_neighbours, symmetric)
-    chosen = _chosen(network, nodes, objective)
-    _check_scenarios(network, objective, scenario_tolerance, without_link)
+    constraints = constraints_of(network, ambiguity, own_weight, max_neighbours, symmetric)
+    check_combination(objective, constraints, with_gains, method, without_link)
+    chosen = chosen_nodes(network, nodes, objective)
+    check_scenarios(network, objective, scenario_tolerance, without_link)
     if add_links is not None:
-        _check_added(network, add_links, objective)
+        check_added(network, add_links, objective, constraints, with_gains or nodes is not None)
 
     from tolnet import design
 
     table = solve_table(network, ambiguity, console)
     scenarios = None
     if objective == "robust":
-        scenarios = _scenarios(network, table, ambiguity, scenario_tolerance, without_link, console)
+        scenarios = scenario_tables(network, table, ambiguity, scenario_tolerance, without_link, console)
     with console.progress(f"weights for {objective}") as progress:
         found = design.optimise_diffusion(
             network,
@@ -147,123 +153,6 @@ def diffusion(
     if not found.status.has_numbers:
         complain([f"{found.status}: {found.reason}"], "no answer")
         raise typer.Exit(NO_ANSWER)
-
-
-def _constraints(
-    network: SensorNetwork, ambiguity: Ambiguity, own_weight: float, max_neighbours: int | None, symmetric: bool
-) -> Constraints:
-    """What is asked of W, in the words of the command line where nothing can satisfy it."""
-    from tolnet.design import Constraints
-    from tolnet.model import Complaint, InputError, UnsupportedError
-
-    if ambiguity.tau != 0:
-        raise UnsupportedError(
-            f"the least favourable model is defined for tau = 0 only, and ambiguity.tau is {ambiguity.tau:g}"
-        )
-    constraints = Constraints(symmetric=symmetric, own_weight=own_weight, max_neighbours=max_neighbours)
-    try:
-        constraints.check(network)
-    except InputError as error:
-        named = [Complaint(f"--{c.key.replace('_', '-')}", c.message) for c in error.complaints]
-        raise InputError(named) from None
-    return constraints
-
-
-def _chosen(network: SensorNetwork, nodes: str | None, objective: str) -> np.ndarray | None:
-    """Weights of the nodes that were named; None for all alike."""
-    import numpy as np
-
-    from tolnet.model import InputError
-
-    if nodes is None:
-        return None
-    if objective != "msd":
-        raise InputError(f"--nodes is given; the objective {objective!r} weighs no nodes")
-    a = np.zeros(network.N)
-    for word in nodes.split(","):
-        a[_node(network, word.strip(), "--nodes")] = 1.0
-    return a
-
-
-def _node(network: SensorNetwork, word: str, option: str) -> int:
-    from tolnet.model import InputError
-
-    labels = [network.label(k) for k in range(network.N)]
-    if word in labels:
-        return labels.index(word)
-    if word.isdigit() and int(word) < network.N:
-        return int(word)
-    known = f"names or indices up to {network.N - 1}" if network.names else f"indices from 0 to {network.N - 1}"
-    raise InputError(f"{option} names {word!r}, which is no node; {known} were expected")
-
-
-def _check_scenarios(
-    network: SensorNetwork, objective: str, tolerances: list[float] | None, lost: list[str] | None
-) -> None:
-    from tolnet.model import InputError
-
-    for option, given in (("--scenario-tolerance", tolerances), ("--without-link", lost)):
-        if given and objective != "robust":
-            raise InputError(f"{option} is given; the objective {objective!r} has one scenario")
-    for pair in lost or ():
-        _link(network, pair)
-
-
-def _link(network: SensorNetwork, pair: str) -> tuple[int, int]:
-    """The two ends of a link, given as A-B."""
-    from tolnet.model import InputError
-
-    for at in (i for i, letter in enumerate(pair) if letter == "-"):
-        try:
-            l, k = (_node(network, word, "--without-link") for word in (pair[:at], pair[at + 1 :]))
-        except InputError:
-            continue
-        if l != k and (network.adjacency[l, k] or network.adjacency[k, l]):
-            return l, k
-        raise InputError(f"--without-link names {pair!r}, and there is no such link")
-    raise InputError(f"--without-link is {pair!r}; two nodes with a dash between them were expected")
-
-
-def _check_added(network: SensorNetwork, m: int, objective: str) -> None:
-    from tolnet.model import InputError
-
-    if objective != "msd":
-        raise InputError(f"--add-links ranks links by the MSD of the network; the objective is {objective!r}")
-    lacking = network.N * (network.N - 1) // (1 if network.directed else 2) - len(network.links)
-    if not 1 <= m <= lacking:
-        raise InputError(f"--add-links is {m}; the graph lacks {lacking} links")
-
-
-def _scenarios(
-    network: SensorNetwork,
-    table: ToleranceTable,
-    ambiguity: Ambiguity,
-    tolerances: list[float] | None,
-    lost: list[str] | None,
-    console: Console,
-) -> Sequence[ToleranceTable]:
-    """The table itself, then those at other tolerances and on networks that lost a link."""
-    import numpy as np
-
-    from tolnet import analysis, design
-    from tolnet.model import Ambiguity
-
-    c = ambiguity.tolerance
-    wanted = [c / 2, 2 * c] if tolerances is None and not lost else tolerances or []
-    with console.progress("scenarios"):
-        tables = [table]
-        for other in wanted:
-            one = design.choose_tolerances(network, Ambiguity(other, ambiguity.convention))
-            if tolerances is None and not analysis.least_favourable_model(network, one.central).exists:
-                console.note(f"no scenario at c = {other:g}: the centre has no least favourable model there")
-                continue
-            tables.append(one)
-        for pair in lost or ():
-            ends = set(_link(network, pair))
-            kept = [link for link in network.links.tolist() if set(link) != ends]
-            shorter = network.relinked(np.array(kept, dtype=np.int64).reshape(-1, 2))
-            tables.append(design.choose_tolerances(shorter, ambiguity))
-    return tables
 
 
 def _deploy(found: Diffusion, path: Path) -> None:

@@ -176,6 +176,8 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
         f" objective: {found.objective}{asked}"
     )
     yield _values(found)
+    if np.isfinite(found.value) and not np.isfinite(found.baseline):
+        yield f"with {found.baseline_rule} weights the network is unstable: there is no gap to close"
     if found.elsewhere:
         yield "the same weights under other least favourable models (filters as they are)"
         yield _elsewhere_table(found)
@@ -199,7 +201,7 @@ def _values(found: Diffusion) -> Table:
     head = [found.objective, *([f"{found.objective} {_HELD}"] if in_db else []), "gap closed", "MSD [dB]", "rho(F)"]
     table = empty_table(["weights", *head], words=("weights",))
     rows = [
-        (found.baseline_rule, found.baseline, 0.0, found.baseline_msd, float("nan")),
+        (found.baseline_rule, found.baseline, 0.0 * found.baseline, found.baseline_msd, float("nan")),
         (
             "optimised" + (" with gains" if found.gains is not None else ""),
             found.value,

@@ -10,6 +10,7 @@ from numpy import ndarray
 from tolnet import analysis, design, model
 from tolnet.analysis.curvature import columns_of
 from tolnet.design.weights.decay import SecondMoments, certify, margin_of
+from tolnet.design.weights.decay_programs import CertificateProgram
 from tolnet.design.weights.setting import local_loops
 from tolnet.model import SensorNetwork, Status, ToleranceTable
 from tolnet.model.examples import projectile
@@ -96,6 +97,25 @@ def test_the_certificate_is_better_than_any_start_and_no_better_than_its_bound()
     assert radius <= found.value
 
 
+def test_an_interrupt_asks_no_solver_any_more(monkeypatch: pytest.MonkeyPatch):
+    """It may have come while CVXPY was being imported, which leaves a part of it that fails."""
+    network, table = unstable_weightings(UNSTABLE_SEEDS[0])
+
+    def stop(*_: object) -> None:
+        monkeypatch.setattr("tolnet.design.weights.decay.solve_program", forbidden)
+        raise KeyboardInterrupt
+
+    def forbidden(problem: object) -> bool:
+        raise AssertionError("a solver was asked")
+
+    monkeypatch.setattr("tolnet.design.weights.decay_programs.solve_program", stop)
+    found = design.optimise_diffusion(network, table, "decay")
+    assert found.interrupted
+    assert (found.bound, found.value) == (0, pytest.approx(min(start.value for start in found.starts), rel=1e-4))
+    assert found.certificate is not None
+    assert naive_margin(found.certificate.X, local_loops(table), found.W.toarray(), found.value) > 0
+
+
 def _diagonal(M: ndarray) -> ndarray:
     N, n, _ = M.shape
     full = np.zeros((N, n, N, n))
@@ -121,6 +141,28 @@ def test_the_x_step_solves_its_semidefinite_program():
     problem.solve(solver=cp.CLARABEL)
     for k in range(N):
         np.testing.assert_allclose(X[k], np.asarray(variables[k].value), rtol=1e-4, atol=1e-4 * np.abs(X[k]).max())
+    built = CertificateProgram(columns, M)
+    for room in (1.1, 1.2):  # the program is built once
+        s = room * moments.radius(w)
+        steps = built.least(w, s)
+        assert steps is not None
+        for found, solution in zip(
+            steps, (moments.resolvent(w, s), moments.resolvent(w, s, adjoint=True)), strict=True
+        ):
+            np.testing.assert_allclose(found, solution, rtol=1e-4, atol=1e-4 * np.abs(solution).max())
+    assert built.least(w, 0.9 * moments.radius(w)) is None
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_alternating_by_two_semidefinite_programs_ends_at_the_same_rate(name: str):
+    network = model.example(name)
+    assert isinstance(network, SensorNetwork)
+    table = design.choose_tolerances(network)
+    fast = design.optimise_diffusion(network, table, "decay")
+    both = design.optimise_diffusion(network, table, "decay", method="sdp")
+    assert both.value == pytest.approx(fast.value, rel=1e-4)
+    assert both.certificate is not None
+    assert naive_margin(both.certificate.X, local_loops(table), both.W.toarray(), both.value) > 0
 
 
 def test_the_radius_is_that_of_the_kronecker_matrix_and_margins_recompute():

@@ -12,7 +12,9 @@ from scipy.optimize import minimize
 from tests.reference import naive_performance as naive
 
 from tolnet import analysis, design
+from tolnet.analysis.curvature import columns_of
 from tolnet.analysis.msd_gradient import NetworkErrors
+from tolnet.design.weights.admissible import Admissible
 from tolnet.design.weights.intersection import intersect_covariances
 from tolnet.design.weights.topology import add_links
 from tolnet.model import (
@@ -83,7 +85,7 @@ def test_it_is_admissible_better_than_every_start_and_what_it_says(small, best: 
     network, table = small
     W = check_admissible(best)
     drawn = {f"random-{number}" for number in (1, 2, 3, 4)}
-    assert {start.name for start in best.starts} == {*DIFFUSION_RULES, "decay", "mixing", *drawn}
+    assert {start.name for start in best.starts} == {*DIFFUSION_RULES, "decay", "mixing", "combination", *drawn}
     for start in best.starts:
         assert best.value <= start.value
         if start.name in DIFFUSION_RULES:
@@ -137,6 +139,36 @@ def test_gains_close_more_of_the_gap_and_are_what_is_deployed(
     errors, a = NetworkErrors(network, table.local, model), np.full(network.N, 1 / network.N)
     sent = 1e-3  # what the errors of what is sent count
     assert found.value <= 1.005 * independent(errors, a, 1, gains=True, sent=sent)
+
+
+@pytest.mark.parametrize("asked", [{"constraints": design.Constraints(max_neighbours=2)}, {"objective": "robust"}])
+def test_gains_with_few_neighbours_and_over_scenarios(small, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch):
+    network, table = small
+    monkeypatch.setattr("tolnet.design.weights.search._RANDOM_WITH_GAINS", 1)
+    monkeypatch.setattr("tolnet.design.weights.search._STEPS_WITH_GAINS", 30)
+    tables = [table, design.choose_tolerances(network, 0.05)] if "objective" in asked else [table]
+    more: dict[str, Any] = {"scenarios": tables} if "objective" in asked else {}
+    alone = design.optimise_diffusion(network, table, **asked, **more)
+    found = design.optimise_diffusion(network, table, with_gains=True, **asked, **more)
+    W = check_admissible(found)
+    assert found.value < alone.value
+    assert found.gains is not None
+    if "constraints" in asked:
+        assert ((W > 0).sum(axis=0) <= 2).all()
+    each = []
+    for scenario in tables:  # the same gains under both least favourable models
+        F, G = written_out(network, scenario, found)
+        each.append(np.diagonal(solve_discrete_lyapunov(F, G @ G.T)).reshape(-1, network.n).sum(axis=1)[:-1])
+    np.testing.assert_allclose(found.node_msd, each[0], rtol=1e-8)
+    assert found.value == pytest.approx(max(msd.mean() for msd in each), rel=1e-8)
+
+
+def test_gains_need_their_links_in_every_scenario(small):
+    network, table = small
+    shorter = [network.relinked(np.delete(network.links, i, axis=0)) for i in range(len(network.links))]
+    lost = next(t for t in (design.choose_tolerances(other, 0.02) for other in shorter) if t.ok)
+    with pytest.raises(InputError, match="with_gains needs the links that its gains are on in every scenario"):
+        design.optimise_diffusion(network, table, "robust", scenarios=[table, lost], with_gains=True)
 
 
 def written_out(network: SensorNetwork, table: ToleranceTable, found: Diffusion) -> tuple[ndarray, ndarray]:
@@ -205,6 +237,8 @@ def test_bounds_on_own_weights_and_on_neighbours(small, best: Diffusion):
     own = np.linspace(0, 0.5, 6)
     bounded = design.optimise_diffusion(network, table, constraints=design.Constraints(own_weight=own))
     assert (check_admissible(bounded).diagonal() >= own - 1e-12).all()
+    alone = design.optimise_diffusion(network, table, constraints=design.Constraints(own_weight=1.0))
+    np.testing.assert_array_equal(alone.W.toarray(), np.eye(6))
     values = []
     for d in (1, 2, 6):
         few = design.optimise_diffusion(network, table, constraints=design.Constraints(max_neighbours=d))
@@ -229,6 +263,34 @@ def test_an_interrupt_keeps_the_best_so_far(small, best: Diffusion):
         assert found.interrupted
         check_admissible(found)
         assert found.value <= min(start.value for start in found.starts) * (1 + 1e-4)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"with_gains": True},
+        {"objective": "worst"},
+        {"constraints": design.Constraints(symmetric=True)},
+        {"constraints": design.Constraints(max_neighbours=2)},
+        {"method": "ipopt"},
+    ],
+)
+def test_an_interrupt_before_the_search_leaves_the_best_start(
+    small, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+):
+    network, table = small
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tolnet.design.weights.starts.design_mixing", stop)
+    found = design.optimise_diffusion(network, table, **asked)
+    assert found.interrupted
+    check_admissible(found)
+    assert {start.name for start in found.starts} == {*DIFFUSION_RULES, "decay"}
+    assert found.value == pytest.approx(min(start.value for start in found.starts), rel=1e-9)
+    assert all(np.isnan(start.found) for start in found.starts)
 
 
 def test_links_are_ranked_by_the_optimised_msd(small, best: Diffusion):
@@ -274,7 +336,10 @@ def test_covariance_intersection_is_optimal_column_by_column(small):
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"constraints": design.Constraints(own_weight=1.2)}, "own_weight is 1.2 at node 0"),
+        (
+            {"constraints": design.Constraints(own_weight=1.2)},
+            "own_weight is 1.2 at node 0: no column sums to one beyond 1",
+        ),
         ({"constraints": design.Constraints(own_weight=-0.1)}, "own_weight"),
         ({"constraints": design.Constraints(max_neighbours=0)}, "max_neighbours is 0; at least 1"),
         ({"nodes": np.zeros(6)}, "not all of them 0"),
@@ -282,6 +347,8 @@ def test_covariance_intersection_is_optimal_column_by_column(small):
         ({"with_gains": True, "objective": "decay"}, "with_gains cannot be combined"),
         ({"constraints": design.Constraints(max_neighbours=2), "objective": "mixing"}, "max_neighbours cannot"),
         ({"constraints": design.Constraints(symmetric=True), "method": "quasi-newton"}, "need 'ipopt'"),
+        ({"method": "sdp"}, "method is 'sdp', which cannot be had for the objective 'msd'"),
+        ({"method": "ipopt", "objective": "decay"}, "method is 'ipopt', which cannot be had"),
     ],
 )
 def test_what_nothing_satisfies_is_refused(small, asked: dict, said: str):
@@ -313,6 +380,33 @@ def test_a_network_without_performance_keeps_its_weights_and_says_why():
         assert "node 2" in found.reason
         assert np.isnan(found.value)
         check_admissible(found)
+
+
+def test_nodes_whose_weights_do_not_matter():
+    """Two nodes with the same sensor on one link, and a third alone: curvature is rounding, and steps are huge."""
+    one = np.ones((3, 1, 1))
+    network = SensorNetwork(A=[[0.9]], B=[[1.0]], C=one, R=one, edges=[[0, 1]])
+    table = design.choose_tolerances(network, 0.02)
+    for with_gains in (False, True):
+        found = design.optimise_diffusion(network, table, with_gains=with_gains)
+        check_admissible(found)
+        assert found.bound < found.value <= found.baseline * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-20, 1.0, 1e20])
+def test_projections_keep_their_sums(size: float):
+    network = projectile(5, nodes=6, links=9)
+    columns, rng = columns_of(network.adjacency), np.random.default_rng(0)
+    lower = np.array([0.0, 0.5, 1.0, 0.0, 1.0, 0.2])
+    among = Admissible.of(columns, design.Constraints(own_weight=lower))
+    v = size * rng.normal(size=len(columns.sender))
+    w = among.project(v)
+    np.testing.assert_allclose(columns.sums(w), 1, rtol=1e-15)
+    assert w.min() >= 0
+    assert (w[columns.own] >= lower).all()
+    for other in rng.dirichlet(np.ones(len(w)), 50):  # v - w makes an obtuse angle with every admissible step
+        step = among.project(other) - w
+        assert (v - w) @ step <= 1e-14 * max(size, 1.0)
 
 
 def test_one_node_alone():

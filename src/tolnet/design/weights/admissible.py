@@ -34,14 +34,10 @@ class Constraints:
             complaints.append(Complaint("own_weight", f"has the shape {own.shape}; one number or {network.N} needed"))
         elif not (np.isfinite(own) & (own >= 0)).all():
             complaints.append(
-                Complaint("own_weight", "is no number >= 0 somewhere: a lower bound on w_kk was expected")
+                _bad_bound(network, own, ~(np.isfinite(own) & (own >= 0)), "no lower bound on a weight")
             )
         elif (own > 1).any():
-            k = int(np.argmax(np.broadcast_to(own, network.N)))
-            found = float(np.broadcast_to(own, network.N)[k])
-            complaints.append(
-                Complaint("own_weight", f"is {found:g} at node {network.label(k)}; no column sums to one beyond 1")
-            )
+            complaints.append(_bad_bound(network, own, own > 1, "no column sums to one beyond 1"))
         if self.max_neighbours is not None and self.max_neighbours < 1:
             message = f"is {self.max_neighbours}; at least 1 was expected, since every node counts itself"
             complaints.append(Complaint("max_neighbours", message))
@@ -51,6 +47,13 @@ class Constraints:
             complaints.append(Complaint("max_neighbours", "cannot be combined with symmetric weights"))
         if complaints:
             raise InputError(complaints)
+
+
+def _bad_bound(network: SensorNetwork, own: ndarray, bad: ndarray | np.bool_, why: str) -> Complaint:
+    """The first node whose lower bound on w_kk is bad."""
+    k = int(np.argmax(np.broadcast_to(bad, network.N)))
+    found = float(np.broadcast_to(own, network.N)[k])
+    return Complaint("own_weight", f"is {found:g} at node {network.label(k)}: {why}; 0 to 1 was expected")
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +91,14 @@ class Admissible:
         base = np.zeros(L)
         base[columns.own] = self.lower
         V = np.where(self._usable, columns.spread(z[:L] - base), -np.inf)
+        V -= V.max(axis=1, keepdims=True)  # t moves along: however large v is, sums of one survive rounding
         falling = -np.sort(-V, axis=1)
         finite = np.isfinite(falling)
         excess = np.cumsum(np.where(finite, falling, 0.0), axis=1) - (1 - self.lower)[:, None]
         count = np.arange(1, V.shape[1] + 1)
         positive = finite & (falling * count > excess)
-        last = np.maximum(V.shape[1] - np.argmax(positive[:, ::-1], axis=1), 1)
+        last = V.shape[1] - np.argmax(positive[:, ::-1], axis=1)
+        last[~positive.any(axis=1)] = 1  # w_kk >= 1 leaves nothing
         threshold = excess[np.arange(len(V)), last - 1] / last
         rows = np.maximum(V - threshold[:, None], 0.0)
         return np.concatenate([columns.gather(rows) + base, z[L:]])

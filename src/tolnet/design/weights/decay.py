@@ -24,6 +24,7 @@ from scipy import sparse
 
 from tolnet.analysis.curvature import Columns
 from tolnet.design.weights.admissible import Admissible, make_admissible
+from tolnet.design.weights.decay_programs import CertificateProgram, ColumnPrograms
 from tolnet.design.weights.programs import solve_program
 from tolnet.model import DecayCertificate
 
@@ -44,7 +45,7 @@ class DecayDesign(NamedTuple):
     W: sparse.csr_array
     certificate: DecayCertificate
     bound: float
-    """No W has a better rate with these X_k; by the dual of the W step."""
+    """No W has a better rate with these X_k; by the dual of the W step. 0 after Ctrl-C."""
     before: float
     """The rate before the last step made W exactly admissible."""
     starts: dict[str, float]
@@ -135,70 +136,53 @@ class SecondMoments:
         return grown
 
 
-class _ColumnPrograms:
-    """The W step of every node, one parametrised program for each number of neighbours."""
-
-    def __init__(self, n: int) -> None:
-        self.n = n
-        self._programs: dict[int, Any] = {}
-
-    def best(
-        self, P: Float[ndarray, "d n n"], cost: Float[ndarray, " d"], lower: Float[ndarray, " d"]
-    ) -> Float[ndarray, " d"] | None:
-        """argmin cost'w over the simplex above `lower`, subject to sum_l w_l P_l <= I; None if that fails."""
-        import cvxpy as cp
-
-        d = len(cost)
-        if d not in self._programs:
-            w = cp.Variable(d)
-            matrices = [cp.Parameter((self.n, self.n), symmetric=True) for _ in range(d)]
-            prices, floor = cp.Parameter(d), cp.Parameter(d, nonneg=True)
-            total: Any = sum((w[i] * matrix for i, matrix in enumerate(matrices)), np.zeros((self.n, self.n)))
-            limits = [total << np.eye(self.n), w >= floor, cp.sum(w) == 1]
-            self._programs[d] = cp.Problem(cp.Minimize(prices @ w), limits), w, matrices, prices, floor
-        problem, w, matrices, prices, floor = self._programs[d]
-        for matrix, value in zip(matrices, P, strict=True):
-            matrix.value = (value + value.T) / 2
-        prices.value, floor.value = cost / max(np.abs(cost).max(), np.finfo(float).tiny), lower
-        return np.asarray(w.value) if solve_program(problem) else None
-
-
 def design_decay(
     among: Admissible,
     loops: Float[ndarray, "N n n"],
     starts: dict[str, Float[ndarray, " L"]],
     watch: Callable[[str, float], None],
+    *,
+    sdp: bool = False,
 ) -> DecayDesign:
     """The best certified decay rate by alternating X and W steps, from the start with the best rate.
 
     W = I is always among the starts, whose rate is the largest spectral radius of the local loops: below 1 where
-    every local filter is stable. The certificate is recomputed for the W that is returned.
+    every local filter is stable. The certificate is recomputed for the W that is returned. With `sdp` the X and Y of
+    every X step come from its semidefinite program instead of the linear equations that solve it.
     """
     columns = among.columns
     moments = SecondMoments(columns, loops)
     alone = np.zeros(len(columns.sender))
     alone[columns.own] = 1.0
     begin = {name: among.project(w) for name, w in {**starts, "none": alone}.items()}
-    radii = {name: moments.radius(w) for name, w in begin.items()}
-    best_start = min(radii, key=lambda name: radii[name])
-    w, radius = begin[best_start], radii[best_start]
-    history, interrupted = [float(np.sqrt(radius))], False
-    programs = _ColumnPrograms(loops.shape[1])
+    radii: dict[str, float] = {}
+    best_start, w, radius = "none", alone, np.inf
+    history: list[float] = []
+    interrupted = False
+    programs = ColumnPrograms(loops.shape[1])
+    certificates = CertificateProgram(columns, loops) if sdp else None
     try:
+        for name, start in begin.items():
+            radii[name] = moments.radius(start)
+            if radii[name] < radius:
+                best_start, w, radius = name, start, radii[name]
+        history.append(float(np.sqrt(radius)))
         for slack in _SLACK:
             for _ in range(_ROUNDS):
                 before = radius
-                w, radius = _round(moments, among, programs, w, radius, slack)
+                w, radius = _round(moments, among, programs, certificates, w, radius, slack)
                 history.append(float(np.sqrt(radius)))
                 watch(f"from {best_start}", history[-1])
                 if radius > (1 - _GAIN) * before:
                     break
     except KeyboardInterrupt:
+        if not radii:
+            raise
         interrupted = True
     W = make_admissible(among, w)
     final = np.asarray(W[columns.sender, columns.hearer]).ravel()
     certificate = certify(moments, final)
-    bound = rate_bound(moments, among, certificate)
+    bound = 0.0 if interrupted else rate_bound(moments, among, certificate)  # CVXPY may be half imported then
     rates = {name: float(np.sqrt(value)) for name, value in radii.items()}
     return DecayDesign(
         W, certificate, bound, float(np.sqrt(radius * (1 + MARGIN))), rates, best_start, history, interrupted
@@ -270,7 +254,8 @@ def _seen_from(moments: SecondMoments, X: Float[ndarray, "N n n"], k: int) -> Fl
 def _round(
     moments: SecondMoments,
     among: Admissible,
-    programs: _ColumnPrograms,
+    programs: ColumnPrograms,
+    certificates: CertificateProgram | None,
     w: Float[ndarray, " L"],
     radius: float,
     slack: float,
@@ -278,7 +263,8 @@ def _round(
     """One X step and one W step; the weights stay as they are where that lowers nothing."""
     columns = among.columns
     s = radius * (1 + slack)
-    X, Y = moments.resolvent(w, s), moments.resolvent(w, s, adjoint=True)
+    steps = certificates.least(w, s) if certificates is not None else None
+    X, Y = steps or (moments.resolvent(w, s), moments.resolvent(w, s, adjoint=True))
     target = w.copy()
     for k in range(columns.nodes):
         here = slice(columns.offsets[k], columns.offsets[k + 1])

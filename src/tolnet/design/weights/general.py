@@ -85,15 +85,36 @@ def search_general(
     starts: Mapping[str, Float[ndarray, " L"]],
     *,
     symmetric: bool,
+    most: int,
     watch: Watch,
 ) -> Search:
-    """Minimise the criterion by IPOPT from the best starts, with symmetric weights where they are asked for.
+    """Minimise the criterion by IPOPT from the best starts, two or `most`, with symmetric weights where asked for.
 
     Hessians are of limited memory (IPOPT's own). Where W is unstable the callback has no number, and IPOPT shortens
     its step. KeyboardInterrupt ends the search with the best so far, once there is one.
     """
     unknowns = _symmetric(among) if symmetric else _columns_apart(among)
     found = Search()
+    try:
+        _search(objective, among, unknowns, starts, min(most, _STARTS), watch, found)
+    except KeyboardInterrupt:
+        if found.z is None:
+            raise
+        found.interrupted = True
+    if found.z is not None and not symmetric:
+        found.z = among.project(found.z)  # IPOPT keeps its bounds to 1e-8
+    return found
+
+
+def _search(
+    objective: MsdObjective,
+    among: Admissible,
+    unknowns: _Unknowns,
+    starts: Mapping[str, Float[ndarray, " L"]],
+    most: int,
+    watch: Watch,
+    found: Search,
+) -> None:
     ranked = []
     for name, w in starts.items():
         u = _nearest(unknowns, among, w)
@@ -102,18 +123,15 @@ def search_general(
         found.offer(name, unknowns.weights(u), value)
         ranked.append((value, name, u))
     ranked.sort(key=lambda each: each[0])
-    usable = [each for each in ranked if np.isfinite(each[0])][:_STARTS]
+    usable = [each for each in ranked if np.isfinite(each[0])][:most]
     for number, (_, name, u) in enumerate(usable):
         label = f"IPOPT from {name} ({number + 1} of {len(usable)})"
         for stage in objective.stages:
             u, found.interrupted = _run(stage, unknowns, u, name, label, watch, found)
             if found.interrupted:
-                return found
+                return
         end = objective.exact(unknowns.weights(u))
         found.starts = [Start(s.name, s.value, end) if s.name == name else s for s in found.starts]
-    if found.z is not None and not symmetric:
-        found.z = among.project(found.z)  # IPOPT keeps its bounds to 1e-8
-    return found
 
 
 class _Interrupt:

@@ -1,4 +1,4 @@
-"""Fastest mixing: W with the least |W - 11'/N|, by semidefinite programming."""
+"""Fastest mixing: W with the least |W - 11'/N|, a semidefinite program."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from scipy.sparse.csgraph import connected_components
 
 from tolnet.analysis.curvature import Columns
 from tolnet.design.weights.admissible import Admissible, Constraints, make_admissible
+from tolnet.design.weights.mixing_interior import ColumnProgram, LinkProgram, Watch, solve_program_inside
 from tolnet.design.weights.programs import solve_program
 from tolnet.model import InputError, SensorNetwork, UnsupportedError
 
-LARGEST = 60
-"""Nodes; a semidefinite program of twice as many rows takes a minute."""
-LARGEST_SYMMETRIC = 120
+LARGEST, LARGEST_SYMMETRIC = 300, 600
+"""Nodes; more take minutes and gigabytes."""
+LARGEST_SDP, LARGEST_SDP_SYMMETRIC = 60, 120
+"""The same for the general solver."""
+_START = 1.1
+"""The first t, relative to the norm there."""
 
 
 class MixingDesign(NamedTuple):
@@ -30,27 +34,34 @@ class MixingDesign(NamedTuple):
     """The norm as the solver left it, before the last step made W exactly admissible."""
 
 
-def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constraints) -> MixingDesign:
+def design_mixing(
+    network: SensorNetwork,
+    among: Admissible,
+    constraints: Constraints,
+    *,
+    sdp: bool = False,
+    watch: Watch = lambda what, value: None,
+) -> MixingDesign:
     """Minimise |W - 11'/N| (spectral norm) over admissible W; symmetric W give the fastest mixing Markov chain.
 
-    The bound is the dual: |W - 11'/N| >= <Z, W - 11'/N> for every Z of nuclear norm 1, and the least <Z, W> over the
-    admissible W is found column by column, or by a linear program where W is symmetric. Both are recomputed here,
-    whatever the solver says of itself.
+    By interior points made for this program, or with `sdp` by CVXPY and Clarabel, which is their reference. The bound
+    is the dual: |W - 11'/N| >= <Z, W - 11'/N> for every Z of nuclear norm 1, and the least <Z, W> over the admissible
+    W is found column by column, or by a linear program where W is symmetric. Value and bound are recomputed here,
+    whatever gave W and Z.
     Raises InputError for a graph that is not connected, UnsupportedError for one that is too large.
     Source: S. Boyd, P. Diaconis, L. Xiao, SIAM Review 46(4):667-689, 2004.
     """
     check_connected(network)
-    most = LARGEST_SYMMETRIC if constraints.symmetric else LARGEST
-    if most < network.N:
-        advice = "" if constraints.symmetric else f"; symmetric weights are found up to {LARGEST_SYMMETRIC} nodes"
-        raise UnsupportedError(
-            f"the fastest mixing weights of {network.N} nodes are too much: at most {most}{advice}"
-        )
+    symmetric = constraints.symmetric
+    _check_size(network.N, symmetric, sdp)
     if network.N == 1:
         return MixingDesign(sparse.csr_array(np.ones((1, 1))), 0.0, 0.0, 0.0)
-    w, Z = (_solve_symmetric if constraints.symmetric else _solve)(among)
-    W = make_admissible(among, w, symmetric=constraints.symmetric)
-    least = _least_symmetric if constraints.symmetric else _least
+    if sdp:
+        w, Z = (_solve_symmetric if symmetric else _solve)(among)
+    else:
+        w, Z = (_inside_symmetric if symmetric else _inside)(among, watch)
+    W = make_admissible(among, w if symmetric else among.project(w), symmetric=symmetric)
+    least = _least_symmetric if symmetric else _least
     mean = np.full((network.N, network.N), 1 / network.N)
     bound = max((least(among, X) - float((X * mean).sum())) / np.linalg.norm(X, "nuc") for X in (Z, -Z))
     raw = np.zeros_like(mean)
@@ -58,6 +69,14 @@ def design_mixing(network: SensorNetwork, among: Admissible, constraints: Constr
     value = distance_from_average(W)
     bound = min(max(float(bound), 0.0), value)  # both are right to the rounding of the linear program
     return MixingDesign(W, value, bound, float(np.linalg.norm(raw - mean, 2)))
+
+
+def _check_size(N: int, symmetric: bool, sdp: bool) -> None:
+    free, paired = (LARGEST_SDP, LARGEST_SDP_SYMMETRIC) if sdp else (LARGEST, LARGEST_SYMMETRIC)
+    most = paired if symmetric else free
+    if most < N:
+        advice = "" if symmetric else f"; symmetric weights are found up to {paired} nodes"
+        raise UnsupportedError(f"the fastest mixing weights of {N} nodes are too much: at most {most}{advice}")
 
 
 def distance_from_average(W: sparse.csr_array) -> float:
@@ -81,6 +100,43 @@ def check_connected(network: SensorNetwork) -> None:
             f"the graph is not connected: nodes {network.label(0)} and {network.label(other)} do not hear each other,"
             " by whatever way, so that no W averages over all nodes; use another objective, or add links"
         )
+
+
+def _inside(among: Admissible, watch: Watch) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N"]]:
+    """Weights link by link, and the dual matrix, by interior points. Columns without a choice stay out of it."""
+    columns, N, L = among.columns, among.columns.nodes, len(among.columns.sender)
+    least = np.zeros(L)
+    least[columns.own] = among.lower
+    w = least + ((1 - among.lower) / columns.degree)[columns.hearer]
+    free = np.flatnonzero(((columns.degree > 1) & (among.lower < 1))[columns.hearer])
+    X = np.full((N, N), -1 / N)
+    X[columns.sender, columns.hearer] += w
+    t = max(_START * float(np.linalg.norm(X, 2)), 1 / N)
+    X[columns.sender[free], columns.hearer[free]] = -1 / N
+    sums = np.zeros((N, len(free)))
+    sums[columns.hearer[free], np.arange(len(free))] = 1.0
+    program = ColumnProgram(
+        X, columns.sender[free], columns.hearer[free], least[free], sums[np.unique(columns.hearer[free])]
+    )
+    w[free], (Z,) = solve_program_inside(program, w[free], t, watch)
+    return w, Z[:N, N:]
+
+
+def _inside_symmetric(among: Admissible, watch: Watch) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N"]]:
+    """The same for symmetric weights. Links of nodes without a choice stay out of it."""
+    columns, N, room = among.columns, among.columns.nodes, 1 - among.lower
+    first, second = _edges(columns)
+    free = (room[first] > 0) & (room[second] > 0)
+    first, second, each = first[free], second[free], np.arange(int(free.sum()))
+    difference = np.zeros((N, len(each)))
+    difference[first, each], difference[second, each] = 1.0, -1.0
+    share = room / np.maximum(np.abs(difference).sum(axis=1), 1.0)
+    program = LinkProgram(difference, room)
+    u = np.minimum(share[first], share[second]) / 2
+    t = max(_START * float(np.linalg.norm(program.matrices(u, 0.0)[1], 2)), 1 / N)
+    u, (above, below) = solve_program_inside(program, u, t, watch)
+    W = np.eye(N) - (difference * u) @ difference.T
+    return W[columns.sender, columns.hearer], above - below
 
 
 def _solve(among: Admissible) -> tuple[Float[ndarray, " L"], Float[ndarray, "N N"]]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,40 +12,33 @@ from scipy import sparse
 
 from tolnet.analysis import least_favourable_model
 from tolnet.analysis.msd_gradient import NetworkErrors
-from tolnet.design.diffusion import diffusion_matrix
 from tolnet.design.weights.admissible import Admissible, Constraints
-from tolnet.design.weights.decay import design_decay
 from tolnet.design.weights.general import search_general
-from tolnet.design.weights.mixing import design_mixing, distance_from_average, is_connected
 from tolnet.design.weights.msd import Criterion, MsdObjective
-from tolnet.design.weights.report import tell_msd, tell_other, without_performance
-from tolnet.design.weights.search import RANDOM, Watch, search_msd
-from tolnet.design.weights.setting import Setting, links_of, local_loops
+from tolnet.design.weights.report import tell_msd, without_performance
+from tolnet.design.weights.search import RANDOM, Search, Watch, search_msd
+from tolnet.design.weights.setting import Setting
 from tolnet.design.weights.sparsity import search_sparse
+from tolnet.design.weights.spectral import by_decay, by_mixing
+from tolnet.design.weights.starts import Starts, starting_weights
 from tolnet.model import (
-    DIFFUSION_RULES,
     OBJECTIVES,
     Complaint,
     Diffusion,
     InputError,
     SensorNetwork,
-    Start,
     Status,
     ToleranceTable,
     UnsupportedError,
 )
 
 Objective = Literal["msd", "worst", "robust", "decay", "mixing"]
-Method = Literal["auto", "quasi-newton", "ipopt"]
+Method = Literal["auto", "quasi-newton", "ipopt", "sdp"]
 
 _STARTS = ((50, 20), (150, 2))
 """Up to so many nodes the search goes on from so many of the best starts; beyond, from the best alone."""
 _STARTS_OF_MAXIMA = 3
 """The same for a largest value, which takes several searches a start."""
-_RANDOM_STARTS, _RANDOM_UP_TO = 4, 50
-"""So many starts are drawn at random, always the same ones, in networks of up to so many nodes."""
-_SDP_STARTS_UP_TO = 40
-"""Nodes up to which the designs by semidefinite programming are among the starts."""
 TOLERANCE = 1e-7
 """Relative decrease of the objective, as the model of a step promises it, at which a search ends."""
 
@@ -73,8 +65,9 @@ def optimise_diffusion(
         mixing   |W - 11'/N|
 
     MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre.
-    `with_gains` makes every node's gain a variable too, on its own neighbours.
-    `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT.
+    `with_gains` makes every node's gain a variable too, on its own neighbours: one gain for all scenarios.
+    `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT; for `decay`
+    and `mixing` what solves their semidefinite programs fastest, and `sdp` is CVXPY with Clarabel, their reference.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
 
     The result is never worse than any rule, or any design by semidefinite programming that it started from; it is a
@@ -88,13 +81,27 @@ def optimise_diffusion(
     at = Setting.of(network, table, constraints)
     match objective:
         case "mixing":
-            return _by_mixing(at)
+            return by_mixing(at, method == "sdp", watch)
         case "decay":
-            return _by_decay(at, watch)
+            return by_decay(at, method == "sdp", watch)
     a = np.full(network.N, 1 / network.N) if nodes is None else np.asarray(nodes, dtype=float) / np.sum(nodes)
     tables = list(scenarios or [table]) if objective == "robust" else [table]
     criterion = Criterion("worst" if objective == "worst" else "mean", a)
     return _by_msd(at, objective, tables, criterion, with_gains, method, watch)
+
+
+def _gains_on_links_in_use(
+    problem: MsdObjective, among: Admissible, sparse: Search, starts: Starts, watch: Watch
+) -> Search:
+    """The gains too, with the links that the search for weights left in use; sensors are heard over all links."""
+    assert sparse.z is not None
+    narrow = among.narrowed(sparse.z > 0)
+    random = {name: w for name, w in starts.items() if name.startswith(RANDOM)}
+    begin = {sparse.best_start: sparse.z, **random}
+    found = search_msd(problem, narrow, begin, most=1, tolerance=TOLERANCE, watch=watch)
+    found.starts, found.history = sparse.starts, [*sparse.history, *found.history]
+    found.evaluations += sparse.evaluations
+    return found
 
 
 def _check(
@@ -108,14 +115,13 @@ def _check(
     constraints: Constraints,
 ) -> None:
     """Raise for arguments that do not fit each other, before anything is computed."""
-    complaints = []
     if objective not in OBJECTIVES:
         raise UnsupportedError(f"objective is {objective!r}; expected {', '.join(map(repr, OBJECTIVES))}")
-    if method not in ("auto", "quasi-newton", "ipopt"):
-        raise UnsupportedError(f"method is {method!r}; expected 'auto', 'quasi-newton' or 'ipopt'")
+    if method not in get_args(Method):
+        raise UnsupportedError(f"method is {method!r}; expected {', '.join(map(repr, get_args(Method)))}")
     if table.tau != 0:
         raise UnsupportedError(f"the least favourable model is defined for tau = 0 only (tau is {table.tau:g})")
-    by_msd = objective in ("msd", "worst", "robust")
+    complaints = complaints_of(objective, constraints, with_gains, method)
     if nodes is not None:
         a = np.asarray(nodes, dtype=float)
         if objective != "msd":
@@ -128,22 +134,34 @@ def _check(
         other = scenario.network
         if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
             complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
-    if with_gains and objective not in ("msd", "worst"):
+        if with_gains and sparse.csr_array(other.adjacency != network.adjacency).nnz:
+            complaints.append(Complaint("with_gains", "needs the links that its gains are on in every scenario"))
+    if complaints:
+        raise InputError(complaints)
+    constraints.check(network)
+
+
+def complaints_of(objective: str, constraints: Constraints, with_gains: bool, method: str) -> list[Complaint]:
+    """What cannot be had together, whatever the network."""
+    complaints = []
+    by_msd = objective in ("msd", "worst", "robust")
+    if method not in ("auto", *(("quasi-newton", "ipopt") if by_msd else ("sdp",))):
+        complaints.append(Complaint("method", f"is {method!r}, which cannot be had for the objective {objective!r}"))
+    if with_gains and not by_msd:
         complaints.append(Complaint("with_gains", f"cannot be combined with the objective {objective!r}"))
-    general = method == "ipopt" or constraints.symmetric
-    if with_gains and (general or constraints.max_neighbours is not None):
-        complaints.append(Complaint("with_gains", "cannot be combined with ipopt, symmetric or max_neighbours"))
-    if general and constraints.max_neighbours is not None and not constraints.symmetric:
-        complaints.append(Complaint("max_neighbours", "cannot be combined with ipopt"))
+    if with_gains and constraints.symmetric:
+        complaints.append(Complaint("with_gains", "cannot be combined with symmetric weights"))
+    if with_gains and method == "ipopt":
+        complaints.append(Complaint("with_gains", "cannot be combined with the method 'ipopt'"))
+    if method == "ipopt" and constraints.max_neighbours is not None and not constraints.symmetric:
+        complaints.append(Complaint("max_neighbours", "cannot be combined with the method 'ipopt'"))
     if constraints.symmetric and method == "quasi-newton" and by_msd:
         complaints.append(Complaint("method", "is 'quasi-newton'; symmetric weights need 'ipopt'"))
     if constraints.max_neighbours is not None and not by_msd:
         complaints.append(Complaint("max_neighbours", f"cannot be combined with the objective {objective!r}"))
     if constraints.symmetric and objective == "decay":
         complaints.append(Complaint("symmetric", "cannot be combined with the objective 'decay'"))
-    if complaints:
-        raise InputError(complaints)
-    constraints.check(network)
+    return complaints
 
 
 def _by_msd(
@@ -157,91 +175,32 @@ def _by_msd(
 ) -> Diffusion:
     network, among = at.network, at.among
     models = [at.model if t is at.table else least_favourable_model(t.network, t.central) for t in tables]
-    scenarios = [
-        NetworkErrors(t.network, t.local, model, columns=among.columns)
-        for t, model in zip(tables, models, strict=True)
-    ]
+    scenarios: list[NetworkErrors] = []
+    for t, model in zip(tables, models, strict=True):
+        unit = scenarios[0].unit if scenarios else None  # gains of all scenarios are the same numbers
+        scenarios.append(NetworkErrors(t.network, t.local, model, columns=among.columns, unit=unit))
     lacking = next((s for s in scenarios if not s.exists), None)
     if lacking is not None:
         return without_performance(at, objective, lacking.status, lacking.reason)
     problem = MsdObjective(scenarios, criterion, gains=with_gains)
-    starts = _starts(at)
+    starts, cut_short = starting_weights(at, MsdObjective(scenarios, criterion), watch)
     most = next((count for size, count in _STARTS if size >= network.N), 1)
     most = most if problem.plain or with_gains else min(most, _STARTS_OF_MAXIMA)
+    most = 0 if cut_short else most
     d = at.constraints.max_neighbours
-    if at.constraints.symmetric or method == "ipopt":
-        found = search_general(problem, among, starts, symmetric=at.constraints.symmetric, watch=watch)
+    symmetric = at.constraints.symmetric
+    if symmetric or method == "ipopt":
+        found = search_general(problem, among, starts, symmetric=symmetric, most=most, watch=watch)
     elif d is not None and d < network.degree.max():
-        found = search_sparse(problem, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
+        alone = MsdObjective(scenarios, criterion)
+        found = search_sparse(alone, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
+        if with_gains and found.z is not None and not found.interrupted:
+            found = _gains_on_links_in_use(problem, among, found, starts, watch)
     else:
         found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)
+    found.interrupted |= cut_short
     if found.z is None:
         reason = "no start has a finite mean square deviation, not even W = I: the filters themselves are unstable"
         return without_performance(at, objective, Status.UNSTABLE, reason)
     bound = max(float(np.trace(model.error_covariance)) for model in models)
     return tell_msd(at, objective, tables, criterion, problem, found, bound)
-
-
-def _starts(at: Setting) -> dict[str, Float[ndarray, " L"]]:
-    """Every rule that the graph allows, the network's own W, designs by semidefinite programming, and random ones."""
-    network, columns = at.network, at.among.columns
-    matrices: dict[str, sparse.csr_array] = {"weights": at.baseline} if at.rule == "weights" else {}
-    for rule in DIFFUSION_RULES:
-        try:
-            matrices[rule] = diffusion_matrix(network, rule, at.table)
-        except UnsupportedError:  # this graph has no such weights
-            continue
-    if 1 < network.N <= _SDP_STARTS_UP_TO:
-        rules = {name: links_of(W, columns) for name, W in matrices.items()}
-        plain = Constraints(own_weight=at.constraints.own_weight)
-        matrices["decay"] = design_decay(Admissible.of(columns, plain), local_loops(at.table), rules, _silent).W
-        if is_connected(network):
-            matrices["mixing"] = design_mixing(network, Admissible.of(columns, plain), plain).W
-    starts = {name: links_of(W, columns) for name, W in matrices.items()}
-    if 1 < network.N <= _RANDOM_UP_TO:
-        drawn = np.random.default_rng(0).exponential(size=(_RANDOM_STARTS, len(columns.sender))) ** 2
-        starts |= {f"{RANDOM}-{number + 1}": w / columns.sums(w)[columns.hearer] for number, w in enumerate(drawn)}
-    return starts
-
-
-def _silent(what: str, value: float) -> None:
-    """Nobody watches."""
-
-
-def _by_mixing(at: Setting) -> Diffusion:
-    design = design_mixing(at.network, at.among, at.constraints)
-    before = distance_from_average(at.baseline)
-    change = design.value / design.before - 1 if design.before > 0 else 0.0
-    start = Start("semidefinite program", before, design.value)
-    return tell_other(
-        at, "mixing", design.W, design.value, before, design.bound, change, [start], [before, design.value]
-    )
-
-
-def _by_decay(at: Setting, watch: Watch) -> Diffusion:
-    table, columns = at.table, at.among.columns
-    if not table.local.exists.all():
-        k = int(np.argmin(table.local.exists))
-        reason = f"the filter of node {at.network.label(k)} has no steady state ({table.local.status[k]})"
-        return without_performance(at, "decay", Status(str(table.local.status[k])), reason)
-    starts = {}
-    for rule in DIFFUSION_RULES:
-        try:
-            starts[rule] = links_of(diffusion_matrix(at.network, rule, table), columns)
-        except UnsupportedError:
-            continue
-    starts[at.rule] = links_of(at.baseline, columns)
-    design = design_decay(at.among, local_loops(table), starts, watch)
-    rates = [Start(name, rate, float("nan")) for name, rate in design.starts.items()]
-    told = tell_other(
-        at,
-        "decay",
-        design.W,
-        design.certificate.rate,
-        design.starts[at.rule],
-        design.bound,
-        design.certificate.rate / design.before - 1,
-        rates,
-        design.history,
-    )
-    return replace(told, certificate=design.certificate, best_start=design.best_start, interrupted=design.interrupted)

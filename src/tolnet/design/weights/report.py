@@ -34,18 +34,20 @@ def tell_msd(
     assert found.z is not None
     columns, L = at.among.columns, len(at.among.columns.sender)
     W = make_admissible(at.among, found.z[:L], symmetric=at.constraints.symmetric)
-    before = [at.performance(at.baseline, each) for each in tables]
+    before = [at.performance(at.baseline, table) for table in tables]
     baseline = criterion(np.array([each.node_msd for each in before]))
     first = tables.index(at.table) if at.table in tables else 0
     gains, errors = None, problem.scenarios[0]
     if problem.gains and len(found.z) > L:
         z = np.concatenate([links_of(W, columns), found.z[L:]])
-        solved = errors.solve(z)
+        errors, each = problem.scenarios[first], [scenario.solve(z) for scenario in problem.scenarios]
         own = error_dynamics(at.network, at.table.local, at.baseline, at.model)
         gains = pack_gains(at.network, own, errors, z)
-        node_msd, residual, radius = solved.node_msd, solved.residual, solved.radius
-        radius = max(radius, before[0].least_favourable_radius)
-        value, status, reason = criterion(node_msd[None]), errors.status, errors.reason
+        node_msd, residual = each[first].node_msd, max(solved.residual for solved in each)
+        own_radius = max(solved.radius for solved in each)
+        radius = max(own_radius, *(there.least_favourable_radius for there in before))
+        value = criterion(np.array([solved.node_msd for solved in each]))
+        status, reason = errors.status, errors.reason
     else:
         z = links_of(W, columns)
         after = [at.performance(W, each) for each in tables]

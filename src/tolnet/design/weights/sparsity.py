@@ -38,11 +38,13 @@ def search_sparse(
     """
     kept = {name: _largest(among, w, d) for name, w in starts.items()}
     found = Search()
-    for name, w in kept.items():
-        value = objective.exact(w)
-        found.starts.append(Start(name, value, float("nan")))
-        found.offer(name, w, value)
     try:
+        for name, w in kept.items():
+            value = objective.exact(w)
+            found.starts.append(Start(name, value, float("nan")))
+            found.offer(name, w, value)
+        if not most:
+            return found
         full = search_msd(objective, among, starts, most=most, tolerance=1e-5, watch=watch)
         found.evaluations += full.evaluations
         if full.interrupted:
