@@ -190,6 +190,22 @@ def test_no_link_is_no_claim(drop: Any) -> None:
     assert result(data, switching(0.0, [np.eye(2)] * 4, drop=drop)) == "invalid"
 
 
+@pytest.mark.parametrize("link", [[0, -1], [0, 4], [0, True], [0, 0], [1.0, 0], [0, 2], [0], "01", None])
+def test_what_drops_is_a_link_between_nodes(link: Any) -> None:
+    data = maker.random_data(np.random.default_rng(0), 2, maker.ring(4), radius=0.15)
+    Y = [np.eye(2)] * 4
+    assert result(data, switching(0.0, Y, scenarios=[{"drop": [[0, 1]]}])) == "valid"
+    assert result(data, switching(0.0, Y, scenarios=[{"drop": [link]}])) == "invalid"
+    assert result(data, switching(0.0, Y, scenarios=[{"drop": [[1, 2], link]}])) == "invalid"
+
+
+def test_a_node_with_a_negative_weight_loses_no_link() -> None:
+    data = maker.random_data(np.random.default_rng(0), 2, maker.ring(4), radius=0.05, negative=True)
+    Y = [np.eye(2)] * 4
+    assert result(data, switching(0.0, Y, scenarios=[{}])) == "valid"
+    assert result(data, switching(0.0, Y, drop=1)) == "invalid"
+
+
 # ---- Witnesses of instability ----
 
 
