@@ -109,13 +109,14 @@ def _contents(problem: str, network: SensorNetwork | CorruptedNetwork) -> list[s
     degree, outputs = facts["degree"], facts["outputs"]
     kind = ("one-way link" if network.directed else "link") + ("" if facts["links"] == 1 else "s")
     spread = _range(outputs, "d")
+    relays = f"{facts['relays']:,} relay" + ("" if facts["relays"] == 1 else "s")
     lines = [
         f"{problem}: a valid problem file",
         f"  name       {network.name or '-'}" + (f": {network.description}" if network.description else ""),
         f"  plant      n = {network.n} states" + (f", every {network.dt:g} s" if network.dt else ""),
         f"  network    N = {network.N:,} nodes, {facts['links']:,} {kind};"
         f" each hears {_range(degree, 'd')}, itself included, mean {degree['mean']:.3g}",
-        f"  sensors    {spread} outputs a node, {outputs['total']:,} in all; {facts['relays']:,} relays without one",
+        f"  sensors    {spread} outputs a node, {outputs['total']:,} in all; {relays} without one",
     ]
     if not isinstance(network, SensorNetwork):
         channel = facts["channel"]

@@ -146,6 +146,8 @@ def _traces(axes: Axes, report: ObservabilityReport) -> None:
     else:
         why = next((f"{each.status}" for each in report.steady.values()), "functions of k")
         axes.text(0.5, 0.5, f"no steady state: {why}", ha="center", transform=axes.transAxes, color=INK)
+        axes.set_yticks([])
+        axes.set_xlim(0, max(network.N - 1, 1))
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

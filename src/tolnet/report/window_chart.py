@@ -48,7 +48,10 @@ def _draw_front(axes: Axes, choice: WindowChoice) -> None:
     every = choice.interval * (choice.network.dt or 1.0)
     solves = np.where(choice.interval > 0, 1 / np.maximum(every, 1e-300), 0.0).mean()
     axes.scatter([solves], [choice.trace], marker="*", s=190, color="#d64545", zorder=4, label="chosen, node by node")
-    axes.set_xscale("symlog", linthresh=max(min(p.solves for p in choice.front if p.interval), 1e-12))
+    costs = sorted({p.solves for p in choice.front if p.interval})
+    axes.set_xscale("symlog", linthresh=max(costs[0], 1e-12))
+    axes.set_xticks(costs, [f"{cost:.3g}" for cost in costs])
+    axes.minorticks_off()
     axes.legend(frameon=False, labelcolor=INK)
     per = "step" if choice.network.dt is None else "second"
     _dress(axes, "trace against cost (filled: on the front)", f"solves per {per} and node", "mean tr P")
@@ -68,6 +71,9 @@ def _draw_nodes(axes: Axes, choice: WindowChoice) -> None:
     axes.legend(frameon=False, labelcolor=INK)
     across = "node" if N <= _NAMED_UP_TO else "nodes, sorted by Algorithm 1"
     _dress(axes, "node by node", across, "tr P")
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if N <= 12:
         axes.set_xticks(t, [choice.network.label(i) for i in range(N)], parse_math=False)
 
