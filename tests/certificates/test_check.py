@@ -148,7 +148,7 @@ def test_numbers_of_every_exponent_are_those_that_they_are(exponent: int) -> Non
     assert (matrix + matrix).rows == [[6, 2], [2, 10]]
     assert (Fraction(3, 4) * matrix - 1 * matrix).exponent == exponent - 2
     with pytest.raises(ArithmeticError):
-        Fraction(1, 3) * matrix
+        _ = Fraction(1, 3) * matrix
 
 
 @pytest.mark.parametrize("size", [2, 12, 13, 20, 40])

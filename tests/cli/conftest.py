@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -32,6 +33,12 @@ class Ran:
 
 
 Tolnet = Callable[..., Ran]
+
+
+@pytest.fixture(autouse=True)
+def heeds_interrupts() -> None:
+    """Ctrl-C reaches the processes that tests start, also where the tests run in the background, which ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ def search_msd(
     watch: Watch,
 ) -> Search:
     """Minimise the criterion from the `most` best of the starts; with gains too from the best weights found, from the
-    best start as it is, and from random ones.
+    two best starts as they are, and from random ones.
 
     A start with infinite MSD is blended with W = I until it is stable, which W = I always is where the filters are.
     KeyboardInterrupt ends the search with the best so far, once there is one.
@@ -104,7 +104,8 @@ def _search(
     stages = [replace(stage, gains=True, sent=sent) for stage in objective.stages[:1] for sent in SENT]
     stages += [replace(stage, gains=True, sent=SENT[-1]) for stage in objective.stages[1:]]
     drawn = [each for each in ranked if each[1].startswith(RANDOM)][:_RANDOM_WITH_GAINS]
-    begin = [(name, w) for _, name, w in [*ends[:1], *ranked[:1], *drawn]]
+    others = [each for each in ranked[1:] if not each[1].startswith(RANDOM)][:1]
+    begin = [(name, w) for _, name, w in [*ends[:1], *ranked[:1], *others, *drawn]]
     for number, (name, w) in enumerate(begin):
         label = f"gains too, from {name} ({number + 1} of {len(begin)})"
         z = np.concatenate([w, gains])
