@@ -148,6 +148,15 @@ def test_lost_links_hand_their_weight_to_the_node_itself():
     g, _ = errors.gradient(at, a)
     J = [float(a @ errors.solve(w + t * d).node_msd) for t in (1e-5, -1e-5)]
     assert (J[0] - J[1]) / 2e-5 == pytest.approx(g @ d, rel=1e-6)
+    z = np.concatenate([w, whole.gains])  # with the gains of the whole network: those of the lost link are not used
+    d = rng.normal(size=len(z)) * np.abs(z)
+    g, _ = errors.gradient(errors.solve(z), a, gains=True)
+    J = [float(a @ errors.solve(z + t * d).node_msd) for t in (1e-5, -1e-5)]
+    assert (J[0] - J[1]) / 2e-5 == pytest.approx(g @ d, rel=1e-6)
+    unused = (g == 0) & (z != 0)
+    assert unused[len(w) :].any()
+    changed = errors.solve(z + unused * rng.normal(size=len(z)))
+    np.testing.assert_array_equal(changed.node_msd, errors.solve(z).node_msd)
 
 
 def test_the_low_rank_of_large_powers_changes_nothing(monkeypatch: pytest.MonkeyPatch):

@@ -156,10 +156,6 @@ def test_scenarios_and_constraints(tolnet: Tolnet, small: Path):
         (["--certificate", "c.csv"], "c.csv: has the suffix '.csv'"),
         (["--with-gains", "--objective", "mixing"], "--with-gains cannot be combined with the objective 'mixing'"),
         (["--with-gains", "--symmetric"], "--with-gains cannot be combined with symmetric weights"),
-        (
-            ["--with-gains", "--objective", "robust", "--without-link", "0-1"],
-            "--with-gains cannot be combined with --without-link",
-        ),
         (["--method", "sdp"], "--method is 'sdp', which cannot be had for the objective 'msd'"),
         (["--own-weight", "-1"], "--own-weight is -1 at node 0: no lower bound on a weight; 0 to 1 was expected"),
         (["--max-neighbours", "2", "--objective", "decay"], "--max-neighbours cannot be combined with the objective"),

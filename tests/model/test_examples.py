@@ -92,7 +92,7 @@ def test_hopeless_draws_end(monkeypatch):
     with pytest.raises(InputError, match="200 draws gave no connected geometric graph of 20 nodes with 19 links"):
         projectile(0, links=19)
     monkeypatch.setattr("tolnet.model.examples._projectile.AXES", np.ones((1, 3)))
-    with pytest.raises(InputError, match="200 draws .* where every node hears all three axes; ask for more links"):
+    with pytest.raises(InputError, match=r"200 draws .* where every node hears all three axes; ask for more links"):
         projectile(0, links=100)
 
 

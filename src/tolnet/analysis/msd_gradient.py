@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy import sparse
 
@@ -121,15 +121,17 @@ class _Part:
     owner: Int[ndarray, " c"]
     node: Int[ndarray, " H"]
     channel: Int[ndarray, " H"]
+    heard: Bool[ndarray, " H"]
+    """Whether the node still hears the channel; a gain on a lost one is not used."""
     gain: Float[ndarray, "n H"]
-    """h of the filters that the network was given."""
+    """h of the filters that the network was given; zero on lost channels."""
     unit: Float[ndarray, " n"]
 
     def unmixed(self, gain: Float[ndarray, "n H"], K: int) -> _Unmixed:
         """F_0 and G_0 G_0' for some gains."""
         n, c = self.A.shape[0], len(self.channels)
         H = np.zeros((K + 1, n, c))
-        H[self.node, :, self.channel] = gain.T
+        H[self.node, :, self.channel] = (gain * self.heard).T
         H[K] = self.centre_gain
         M = self.A - H[:K] @ self.channels
         E = np.concatenate([self.noise + (self.A - M) @ self.ZA, self.centre_noise[None]])
@@ -148,8 +150,9 @@ class NetworkErrors:
 
     The variables are one vector: the weights w_lk link by link (`columns`) and, where gains are variables too, the
     h_kc of each group of states, states counted in `unit`. `columns` may be those of a graph with more links: what a
-    lost link weighed then goes to w_kk. Dense: (N + 1)^2 n^2 numbers for each group of n states that is not coupled
-    to the others; the time of a gradient is that of five products of such matrices a doubling.
+    lost link weighed then goes to w_kk, and the gain on its sensor waits for its return. Dense: (N + 1)^2 n^2 numbers
+    for each group of n states that is not coupled to the others; the time of a gradient is that of five products of
+    such matrices a doubling.
     Raises what `error_dynamics` raises. `status` and `reason` are those of the dynamics; without numbers there, every
     choice of W has infinite MSD.
     """
@@ -171,7 +174,7 @@ class NetworkErrors:
         self.status, self.reason, self.exists = dynamics.status, dynamics.reason, dynamics.exists
         deviation, _ = standard_deviations(model.V)
         self.unit = 2.0 ** np.round(np.log2(deviation)) if unit is None else unit
-        self._parts = _split(dynamics, self.unit) if dynamics.exists else []
+        self._parts = _split(dynamics, self.unit, self.columns) if dynamics.exists else []
 
     @property
     def gains(self) -> Float[ndarray, " g"]:
@@ -253,9 +256,11 @@ class NetworkErrors:
         return h
 
 
-def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"]) -> list[_Part]:
-    """The groups of states that are not coupled, counted in `scale`."""
+def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"], columns: Columns) -> list[_Part]:
+    """The groups of states that are not coupled, counted in `scale`; gains on every link of `columns`."""
     network, model, K = dynamics.model.network, dynamics.model, dynamics.filters
+    link = sparse.csr_array((np.ones(len(columns.sender)), (columns.hearer, columns.sender)), shape=(K, K))
+    hearing = sparse.csr_array(dynamics.hearing[:K]).toarray() > 0
     parts = []
     for states in sorted({tuple(island.states.tolist()) for island in dynamics.islands()}):
         i = np.array(states)
@@ -265,7 +270,8 @@ def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"]) -> list[_Part]:
         used = np.flatnonzero(dynamics.channels[:, i].any(axis=1))
         f = dynamics.channels[used][:, i] * unit
         AZ = dynamics.gains[:, i][:, :, i] / like_covariance
-        node, channel = np.nonzero(dynamics.hearing[:K][:, dynamics.owner[used]].toarray())
+        node, channel = np.nonzero(link[:, dynamics.owner[used]].toarray())
+        heard = hearing[node, dynamics.owner[used][channel]]
         parts.append(
             _Part(
                 states=i,
@@ -281,7 +287,8 @@ def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"]) -> list[_Part]:
                 owner=used,
                 node=node,
                 channel=channel,
-                gain=np.einsum("hij,hj->ih", AZ[node], f[channel]),
+                heard=heard,
+                gain=np.einsum("hij,hj->ih", AZ[node], f[channel]) * heard,
                 unit=unit,
             )
         )
@@ -384,4 +391,4 @@ def _gain_gradient(
     cross = Q4[:K, :, K, :] @ S.T @ AZ
     inner = Q4[own, :, own, :] - cross - cross.mT + part.ZA @ (S @ Q4[K, :, K, :] @ S.T + part.tilt) @ AZ
     model = GainCurvature(Y.reshape(shape)[own, :, own, :], inner, part.channels, part.node, part.channel)
-    return gradient, model
+    return gradient * part.heard, model

@@ -111,7 +111,7 @@ def diffusion(
     network = open_problem(problem, console)
     ambiguity = choose_ambiguity(network, tolerance, convention, None)
     constraints = constraints_of(network, ambiguity, own_weight, max_neighbours, symmetric)
-    check_combination(objective, constraints, with_gains, method, without_link)
+    check_combination(objective, constraints, with_gains, method)
     chosen = chosen_nodes(network, nodes, objective)
     check_scenarios(network, objective, scenario_tolerance, without_link)
     if add_links is not None:

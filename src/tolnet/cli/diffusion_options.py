@@ -35,9 +35,7 @@ def constraints_of(
     return constraints
 
 
-def check_combination(
-    objective: str, constraints: Constraints, with_gains: bool, method: str, lost: list[str] | None
-) -> None:
+def check_combination(objective: str, constraints: Constraints, with_gains: bool, method: str) -> None:
     """Raise for options that cannot be had together, before anything is computed."""
     from tolnet.design.weights.optimise import complaints_of
     from tolnet.model import InputError
@@ -45,8 +43,6 @@ def check_combination(
     complaints = complaints_of(objective, constraints, with_gains, method)
     if complaints:
         raise InputError(_as_options(complaints))
-    if with_gains and lost:
-        raise InputError("--with-gains cannot be combined with --without-link: its gains are on links")
 
 
 def _as_options(complaints: Sequence[Complaint]) -> list[Complaint]:

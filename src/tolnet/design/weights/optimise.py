@@ -65,7 +65,8 @@ def optimise_diffusion(
         mixing   |W - 11'/N|
 
     MSD is that of the table's filters (c_k, theta_k, V_k) under the least favourable model of the centre.
-    `with_gains` makes every node's gain a variable too, on its own neighbours: one gain for all scenarios.
+    `with_gains` makes every node's gain a variable too, on its own neighbours: one gain for all scenarios, of which a
+    node that has lost a link uses what belongs to the others.
     `method` `auto` is the projected quasi-Newton method, unless W must be symmetric, which takes IPOPT; for `decay`
     and `mixing` what solves their semidefinite programs fastest, and `sdp` is CVXPY with Clarabel, their reference.
     `watch(what, value)` is told how the objective falls. KeyboardInterrupt ends the search with the best so far.
@@ -134,8 +135,6 @@ def _check(
         other = scenario.network
         if other.N != network.N or other.n != network.n or sparse.csr_array(other.adjacency > network.adjacency).nnz:
             complaints.append(Complaint(f"scenarios[{number}]", "is of a network with other nodes, states or links"))
-        if with_gains and sparse.csr_array(other.adjacency != network.adjacency).nnz:
-            complaints.append(Complaint("with_gains", "needs the links that its gains are on in every scenario"))
     if complaints:
         raise InputError(complaints)
     constraints.check(network)

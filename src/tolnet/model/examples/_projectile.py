@@ -12,9 +12,9 @@ from tolnet.model.errors import InputError
 from tolnet.model.network import SensorNetwork
 
 SEED = 186
-"""Of the seeds 0 to 999, the one nearest to the published row: MSD in dB -3.04 of RKFC (published -2.92), -1.49 of RKFDU
-(-1.56), -1.53 of RKFDNU2 (-1.62), theta 1.367 at the centre (1.337), mean c_k 0.0146 (0.0144), mean theta 0.362 (0.358) and,
-with c_k = c, 0.382 (0.376); each within 3 %, MSD as a power. The published graph is not available."""
+"""Of the seeds 0 to 999, the one nearest to the published row: MSD in dB -3.04 of RKFC (published -2.92), -1.49 of
+RKFDU (-1.56), -1.53 of RKFDNU2 (-1.62), theta 1.367 at the centre (1.337), mean c_k 0.0146 (0.0144), mean theta 0.362
+(0.358) and, with c_k = c, 0.382 (0.376); each within 3 %, MSD as a power. The published graph is not available."""
 
 DRAWS = 200_000
 """How often graphs and sensors are drawn before a request counts as hopeless."""
@@ -34,7 +34,7 @@ def projectile(
         y_k = [0  diag(a_k)] x + v_k,   v_k ~ N(0, R_k),   R_k = sqrt(k) P_k R0 P_k',   R0 = 0.5 diag(1, 4, 7)
 
     with g = (0, 0, -10) and k = 1..N here. Nodes are uniform in the unit square and the `links` shortest pairs are
-    linked; a_k is one of (1,1,0), (1,0,1), (0,1,1), drawn once the graph is connected. Graph and sensors are all drawn
+    linked; a_k is one of (1,1,0), (1,0,1), (0,1,1), drawn once the graph is connected. Graph and sensors are drawn
     again until every node hears all three axes, which makes every local pair observable. P_k is a random permutation.
     Units: metres, seconds.
     The published study has 20 nodes and 37, 46 or 68 links.
