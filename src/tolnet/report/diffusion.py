@@ -198,7 +198,9 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
 
 def _values(found: Diffusion) -> Table:
     in_db = found.objective in ("msd", "worst", "robust")
-    head = [found.objective, *([f"{found.objective} {_HELD}"] if in_db else []), "gap closed", "MSD [dB]", "rho(F)"]
+    apart = not np.isclose(found.value, found.msd, rtol=1e-12)  # the objective is another number than the mean MSD
+    head = [found.objective, *([f"{found.objective} {_HELD}"] if in_db else []), "gap closed"]
+    head += [*(["MSD [dB]"] if apart else []), "rho(F)"]
     table = empty_table(["weights", *head], words=("weights",))
     rows = [
         (found.baseline_rule, found.baseline, 0.0 * found.baseline, found.baseline_msd, float("nan")),
@@ -213,7 +215,7 @@ def _values(found: Diffusion) -> Table:
     ]
     for name, value, closed, msd, radius in rows:
         cells = [number(value, ".6g"), *([number(decibels(value), ".4f")] if in_db else [])]
-        cells += [number(closed, ".1%"), number(decibels(msd), ".4f"), number(radius, ".6f")]
+        cells += [number(closed, ".1%"), *([number(decibels(msd), ".4f")] if apart else []), number(radius, ".6f")]
         table.add_row(name, *cells, style="bold" if name.startswith("optimised") else None)
     return table
 
