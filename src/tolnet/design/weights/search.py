@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +22,8 @@ SENT = (1e-2, 1e-3)
 """How much the errors of what is sent count while gains are searched for, ever less; the last is what remains."""
 RANDOM = "random"
 """How the names of random starts begin."""
-_RANDOM_WITH_GAINS = 3
+_RANDOM_WITH_GAINS, _SPREAD = 8, 1.5
+"""With gains there are many valleys: so many random weights, w_lk in proportion to exp(1.5 z), z standard normal."""
 _STEPS_WITH_GAINS = 300
 
 
@@ -55,7 +56,7 @@ def search_msd(
     watch: Watch,
 ) -> Search:
     """Minimise the criterion from the `most` best of the starts; with gains too from the best weights found, from the
-    two best starts as they are, and from random ones.
+    two best starts as they are, and from random ones, these without a larger weight on what is sent before.
 
     A start with infinite MSD is blended with W = I until it is stable, which W = I always is where the filters are.
     KeyboardInterrupt ends the search with the best so far, once there is one.
@@ -103,13 +104,24 @@ def _search(
     gains = objective.scenarios[0].gains
     stages = [replace(stage, gains=True, sent=sent) for stage in objective.stages[:1] for sent in SENT]
     stages += [replace(stage, gains=True, sent=SENT[-1]) for stage in objective.stages[1:]]
-    drawn = [each for each in ranked if each[1].startswith(RANDOM)][:_RANDOM_WITH_GAINS]
     others = [each for each in ranked[1:] if not each[1].startswith(RANDOM)][:1]
-    begin = [(name, w) for _, name, w in [*ends[:1], *ranked[:1], *others, *drawn]]
-    for number, (name, w) in enumerate(begin):
+    begin = [(name, w, stages) for _, name, w in [*ends[:1], *ranked[:1], *others]]
+    begin += [(f"{RANDOM}-spread-{i + 1}", w, stages[1:]) for i, w in enumerate(_spread(weights_only, among))]
+    for number, (name, w, through) in enumerate(begin):
         label = f"gains too, from {name} ({number + 1} of {len(begin)})"
         z = np.concatenate([w, gains])
-        _descend(stages, among, z, name, label, tolerance, watch, found)
+        _descend(through, among, z, name, label, tolerance, watch, found)
+
+
+def _spread(objective: MsdObjective, among: Admissible) -> Iterator[Float[ndarray, " L"]]:
+    """Random weights further apart than the random starts are, as far as W = I makes them stable."""
+    generator = np.random.default_rng(0)
+    for _ in range(_RANDOM_WITH_GAINS):
+        w = np.exp(_SPREAD * generator.normal(size=len(among.columns.sender)))
+        w = among.project(w / among.columns.sums(w)[among.columns.hearer])
+        usable, at = _stabilised(objective, among, w, objective.exact(w))
+        if np.isfinite(at):
+            yield usable
 
 
 def _descend(
