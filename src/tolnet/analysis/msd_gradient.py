@@ -259,8 +259,8 @@ class NetworkErrors:
 def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"], columns: Columns) -> list[_Part]:
     """The groups of states that are not coupled, counted in `scale`; gains on every link of `columns`."""
     network, model, K = dynamics.model.network, dynamics.model, dynamics.filters
-    link = sparse.csr_array((np.ones(len(columns.sender)), (columns.hearer, columns.sender)), shape=(K, K))
-    hearing = sparse.csr_array(dynamics.hearing[:K]).toarray() > 0
+    linked, hearing = np.zeros((K, K), dtype=bool), dynamics.hearing[:K].toarray() > 0
+    linked[columns.hearer, columns.sender] = True
     parts = []
     for states in sorted({tuple(island.states.tolist()) for island in dynamics.islands()}):
         i = np.array(states)
@@ -270,7 +270,7 @@ def _split(dynamics: ErrorDynamics, scale: Float[ndarray, " n"], columns: Column
         used = np.flatnonzero(dynamics.channels[:, i].any(axis=1))
         f = dynamics.channels[used][:, i] * unit
         AZ = dynamics.gains[:, i][:, :, i] / like_covariance
-        node, channel = np.nonzero(link[:, dynamics.owner[used]].toarray())
+        node, channel = np.nonzero(linked[:, dynamics.owner[used]])
         heard = hearing[node, dynamics.owner[used][channel]]
         parts.append(
             _Part(

@@ -119,4 +119,4 @@ def _draw_nodes(axes: Axes, found: Diffusion) -> None:
     axes.set_axisbelow(True)
     closed = f", gap closed {found.gap_closed:.0%}" if np.isfinite(found.gap_closed) else ""
     axes.set_title(f"mean square deviation of every node{closed}", color=INK, fontsize=12)
-    axes.legend(frameon=False)
+    axes.figure.legend(loc="outside lower right", ncols=3, frameon=False, labelcolor=INK)

@@ -16,11 +16,11 @@ from tolnet.design.weights.admissible import Admissible, Constraints
 from tolnet.design.weights.general import search_general
 from tolnet.design.weights.msd import Criterion, MsdObjective
 from tolnet.design.weights.report import tell_msd, without_performance
-from tolnet.design.weights.search import RANDOM, Search, Watch, search_msd
+from tolnet.design.weights.search import Search, Watch, search_msd
 from tolnet.design.weights.setting import Setting
 from tolnet.design.weights.sparsity import search_sparse
 from tolnet.design.weights.spectral import by_decay, by_mixing
-from tolnet.design.weights.starts import Starts, starting_weights
+from tolnet.design.weights.starts import starting_weights
 from tolnet.model import (
     OBJECTIVES,
     Complaint,
@@ -91,14 +91,11 @@ def optimise_diffusion(
     return _by_msd(at, objective, tables, criterion, with_gains, method, watch)
 
 
-def _gains_on_links_in_use(
-    problem: MsdObjective, among: Admissible, sparse: Search, starts: Starts, watch: Watch
-) -> Search:
+def _gains_on_links_in_use(problem: MsdObjective, among: Admissible, sparse: Search, watch: Watch) -> Search:
     """The gains too, with the links that the search for weights left in use; sensors are heard over all links."""
     assert sparse.z is not None
     narrow = among.narrowed(sparse.z > 0)
-    random = {name: w for name, w in starts.items() if name.startswith(RANDOM)}
-    begin = {sparse.best_start: sparse.z, **random}
+    begin = {sparse.best_start: sparse.z}
     found = search_msd(problem, narrow, begin, most=1, tolerance=TOLERANCE, watch=watch)
     found.starts, found.history = sparse.starts, [*sparse.history, *found.history]
     found.evaluations += sparse.evaluations
@@ -194,7 +191,7 @@ def _by_msd(
         alone = MsdObjective(scenarios, criterion)
         found = search_sparse(alone, among, starts, d, most=most, tolerance=TOLERANCE, watch=watch)
         if with_gains and found.z is not None and not found.interrupted:
-            found = _gains_on_links_in_use(problem, among, found, starts, watch)
+            found = _gains_on_links_in_use(problem, among, found, watch)
     else:
         found = search_msd(problem, among, starts, most=most, tolerance=TOLERANCE, watch=watch)
     found.interrupted |= cut_short

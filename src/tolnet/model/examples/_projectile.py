@@ -44,7 +44,7 @@ def projectile(
     if not nodes - 1 <= links <= nodes * (nodes - 1) // 2 or nodes < 2:
         raise InputError(f"{links} links were asked for, which no connected graph of {nodes} nodes has")
     generator = np.random.default_rng(seed)
-    positions, edges, types = _heard(generator, nodes, links)
+    positions, edges, types = _draw(generator, nodes, links)
     C = np.zeros((nodes, 3, 6))
     C[:, range(3), range(3, 6)] = AXES[types]
     R = np.zeros((nodes, 3, 3))
@@ -70,7 +70,7 @@ def projectile(
     )
 
 
-def _heard(
+def _draw(
     generator: np.random.Generator, N: int, links: int
 ) -> tuple[Float[ndarray, "N 2"], Int[ndarray, "links 2"], Int[ndarray, " N"]]:
     """Points whose `links` shortest pairs connect them all, those pairs, and types of which every node hears two."""
