@@ -94,7 +94,7 @@ def designed(document: Document) -> Iterator[tuple[str, Document]]:
         if isinstance(value, dict) and path and path[0] in ("data", "claims"):
             yield f"unknown key in {path}", put(document, (*path, "note"), "true for every network")
             for key in value:
-                kind = "less" if path[2:3] == ("scenarios",) or key == "inverse" else "no key"
+                kind = "less" if path[2:3] == ("scenarios",) else "no key"
                 yield f"{kind} {key} in {path}", put(document, path, {k: v for k, v in value.items() if k != key})
     for margin in (claim["margin"], 0.0, 0.5, 0.999999, 1.0, -1.0, 1e-300, True, None, "0.1", [0.1]):
         yield f"margin {margin!r}", put(document, (*here, "margin"), margin)
@@ -125,7 +125,7 @@ def designed(document: Document) -> Iterator[tuple[str, Document]]:
             said = claim["statement"].replace(repr(float.fromhex(claim["rate"])), repr(rate))
             yield f"rate {rate}", put(put(document, (*here, "rate"), rate.hex()), (*here, "statement"), said)
     if "method" in claim[evidence]:
-        for method in ("primal", "dual", "power", "full", "lyapunov", "eigenpair", "blocks", None, ["full"]):
+        for method in ("primal", "dual", "power", "full", "lyapunov", "blocks", None, ["full"]):
             yield f"method {method}", put(document, (*here, evidence, "method"), method)
     if "drop" in claim:
         for drop in (0, 1, 2, 3, 10, -1, True, 1.0):
@@ -133,9 +133,6 @@ def designed(document: Document) -> Iterator[tuple[str, Document]]:
             yield f"drop {drop}", put(put(document, (*here, "drop"), drop), (*here, "statement"), said)
     if claim["claim"] == "performance":
         yield from _narrowed(document, claim)
-    if "pivot" in claim[evidence]:
-        for pivot in (-1, 0, 1, 2, 6, 7, True, 0.0):
-            yield f"pivot {pivot}", put(document, (*here, evidence, "pivot"), pivot)
     for key in ("power",):
         if key in claim[evidence]:
             for value in (0, 1, 2, 3, 4, 65, 2.0, True):

@@ -60,9 +60,7 @@ def certificates() -> dict[str, Document]:
         "scenarios, directed": document(
             calm_one_way, maker.switching_claim(calm_one_way, scenarios=[drops, {"drop": [[0, 1], [2, 0]]}])
         ),
-        "lyapunov": document(restless, maker.instability_claim(restless, "lyapunov")),
-        "eigenpair": document(restless, maker.instability_claim(restless, "eigenpair", block="F")),
+        "lyapunov": document(restless, maker.instability_claim(restless, "lyapunov", block="F")),
         "lyapunov, centre": document(tilted, maker.instability_claim(tilted, "lyapunov", of="centre", block="F")),
-        "eigenpair, centre": document(tilted, maker.instability_claim(tilted, "eigenpair", of="centre", block="F")),
     }
     return found

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.certificates.examples import certificate, certificates
+from tests.reference import certificates as maker
 from tests.reference.certificate_truth import is_true
 
 from tolnet.certificates import check as checker
@@ -36,15 +37,13 @@ def test_the_smallest_change_of_the_data_that_matters_is_noticed(name: str) -> N
         assert finding.result == "invalid" or is_true(data, claim)
 
 
-@pytest.mark.parametrize("name", ["eigenpair", "eigenpair, centre"])
-def test_an_eigenpair_without_its_inverse_is_left_to_others(name: str) -> None:
-    document = certificate(name)
-    del document["claims"][0]["witness"]["inverse"]
+def test_an_eigenpair_is_left_to_others() -> None:
+    document = certificate("lyapunov")
+    document["claims"] = [maker.instability_claim(document["data"], "eigenpair", block="F")]
     finding = check(document)[0]
-    assert (finding.result, finding.reason) == (
-        "not checked here",
-        "the witness holds no inverse: tolnet check makes its own",
-    )
+    assert finding.result == "not checked here"
+    assert finding.reason is not None
+    assert "tolnet check" in finding.reason
 
 
 def test_zeros_at_the_end_of_a_fraction_may_be_left_out_but_nothing_is_rounded() -> None:
@@ -144,7 +143,6 @@ def test_numbers_of_every_exponent_are_those_that_they_are(exponent: int) -> Non
     matrix = checker.Matrix([[3, 1], [1, 5]], exponent)
     assert checker._trace(matrix, range(2)) == 8 * Fraction(2) ** exponent
     assert checker._trace(matrix, range(1, 2)) == 5 * Fraction(2) ** exponent
-    assert checker._norm(matrix, matrix) == 12 * Fraction(2) ** exponent
     assert (matrix + matrix).rows == [[6, 2], [2, 10]]
     assert (Fraction(3, 4) * matrix - 1 * matrix).exponent == exponent - 2
     with pytest.raises(ArithmeticError):

@@ -6,14 +6,13 @@ condition starts to hold is computed from the formula, and the checker is asked 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy import ndarray
+from scipy.linalg import solve_discrete_lyapunov
 from tests.reference import certificates as maker
 from tests.reference.certificates import BLOCKS, Document, Numbers, document, scalar_data, text, triangle
 
@@ -228,165 +227,107 @@ def plant(A: ndarray) -> Document:
     return {**scalar_data(1.0), "n": n, "A": text(A), "process": {"Q": text(np.eye(n))}}
 
 
-class Exactly:
-    """A complex matrix of fractions."""
-
-    def __init__(self, z: ndarray) -> None:
-        self.re, self.im = (np.array([Fraction(x) for x in part.ravel()], dtype=object).reshape(part.shape)
-                            for part in (np.real(z).astype(float), np.imag(z).astype(float)))  # fmt: skip
-
-    def norm(self) -> Fraction:
-        return max((abs(self.re) + abs(self.im)).sum(axis=1))
-
-    def times(self, other: Exactly) -> Exactly:
-        found = Exactly(np.zeros((1, 1)))
-        found.re = self.re @ other.re - self.im @ other.im
-        found.im = self.re @ other.im + self.im @ other.re
-        return found
-
-
-def newton(A: ndarray, value: complex, z: ndarray, pivot: int, B: ndarray) -> tuple[Fraction, Fraction, Fraction]:
-    """|B f|, |I - B J| and |B|, exactly."""
-    d = len(A)
-    J, f = Exactly(np.zeros((d + 1, d + 1))), Exactly(np.zeros((d + 1, 1)))
-    a, b, exact = Fraction(value.real), Fraction(value.imag), Exactly(A)
-    J.re[:d, :d], J.im[:d, :d] = exact.re - a * np.eye(d, dtype=int), -b * np.eye(d, dtype=int)
-    x, y = Exactly(z[:, None]).re, Exactly(z[:, None]).im
-    J.re[:d, d:], J.im[:d, d:] = -x, -y
-    J.re[d, pivot] += 1
-    f.re[:d], f.im[:d] = exact.re @ x - a * x + b * y, exact.re @ y - a * y - b * x
-    inverse, defect = Exactly(B), Exactly(B).times(J)
-    defect.re = np.eye(d + 1, dtype=int) - defect.re
-    return inverse.times(f).norm(), defect.norm(), inverse.norm()
-
-
-def coarsely(z: ndarray, bits: int) -> ndarray:
-    scale = 2.0**bits
-    return (np.round(np.real(z) * scale) + 1j * np.round(np.imag(z) * scale)) / scale
-
-
-def parts(z: ndarray) -> str:
-    return text([np.real(z), np.imag(z)])
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_radii_between_which_newtons_step_stays_inside(seed: int) -> None:
-    """Coarse numbers, so that every term counts; the smallest and the largest radius that hold."""
-    rng = np.random.default_rng(seed)
-    n = 1 + seed % 3
-    A = np.real(coarsely(4 * rng.normal(size=(n, n)) + 6 * np.eye(n), 4))
-    values, vectors = np.linalg.eig(A)
-    i = int(np.argmax(abs(values)))
-    z = vectors[:, i] / vectors[np.argmax(abs(vectors[:, i])), i]
-    value, z, pivot = complex(coarsely(values[i : i + 1], 7)[0]), coarsely(z, 7), int(np.argmax(abs(z)))
-    J = np.block([[A - value * np.eye(n), -z[:, None]], [np.eye(n)[pivot], np.zeros((1, 1))]])
-    B = coarsely(np.linalg.inv(J), 5)
-    residual, defect, norm = newton(A, value, z, pivot, B)
-    slack = float(1 - defect)
-    spread = (slack**2 - 4 * float(norm * residual)) ** 0.5
-    low, high = (slack - spread) / (2 * float(norm)), (slack + spread) / (2 * float(norm))
-    assert 0 <= low < high
-    assert abs(value) - high > 1.01
-    tried = {low * (1 - CLOSE): False, low * (1 + CLOSE): True, high * (1 - CLOSE): True, high * (1 + CLOSE): False}
-    for radius, inside in tried.items():
-        rho = Fraction(radius)
-        assert (residual + defect * rho + norm * rho**2 < rho) is (inside and radius > 0)
-        witness = {
-            "eigenvalue": text([value.real, value.imag]),
-            "vector": parts(z),
-            "pivot": pivot,
-            "inverse": parts(B),
-            "radius": text([radius]),
-        }
-        expected = "valid" if inside and radius > 0 else "invalid"
-        assert result(plant(A), refuted("eigenpair", **witness)) == expected
-        for wrong in (n, -1):  # the normalisation is of one of the entries of the vector
-            assert result(plant(A), refuted("eigenpair", **{**witness, "pivot": wrong})) == "invalid"
-
-
-def test_the_ball_of_an_eigenvalue_stays_outside_the_disc() -> None:
-    """Eigenvalues 3/4 +- i of modulus 5/4, the pair exact: the radius may be up to 1/4, and 1/4 not."""
-    A = np.array([[0.75, 1.0], [-1.0, 0.75]])
-    z, value = np.array([1.0, 1.0j]), 0.75 + 1.0j
-    J = np.block([[A - value * np.eye(2), -z[:, None]], [np.eye(2)[0], np.zeros((1, 1))]])
-    B = np.linalg.inv(J)
-    residual, defect, norm = newton(A, value, z, 0, B)
-    assert residual == 0
-    for radius, outside in ((0.25 - 2.0**-20, True), (0.25, False), (0.25 + 2.0**-20, False)):
-        assert defect * Fraction(radius) + norm * Fraction(radius) ** 2 < Fraction(radius)
-        witness = {"eigenvalue": text([0.75, 1.0]), "vector": parts(z), "pivot": 0}
-        claim = refuted("eigenpair", **witness, inverse=parts(B), radius=text([radius]))
-        assert result(plant(A), claim) == ("valid" if outside else "invalid")
-
-
 # ---- Performance ----
 
 
-def bounds(data: Document, rng: np.random.Generator) -> tuple[Document, float, Callable[[float], float]]:
-    """A random proof; the least epsilon, and the largest delta for a share."""
+def bounds(data: Document, rng: np.random.Generator, delta: float) -> tuple[Document, float, float]:
+    """A random proof; the largest delta of the nodes, and the size that the centre's matrix needs."""
     at = Numbers(data)
     n, N = at.n, at.N
     F, noise, coupling = at.whole()
     exact = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(F, F), noise.ravel()).reshape(F.shape)
     error = rng.normal(size=F.shape)
-    Q = exact + exact.T + 0.01 * (error + error.T)
-    Q = Q / 2
-    X = [definite(rng, n) + 3 * np.eye(n) for _ in range(N + 1)]
-    Z = F @ Q @ F.T + noise - Q
-    t = np.diag(Q) ** -0.5  # to within a factor of two, as powers of two
-    sums = (abs(Z) * t[None, :]).sum(axis=1) / t
-    needed = [largest(np.diag(sums[k * n : (k + 1) * n]), X[k]) for k in range(N + 1)]
-
-    def most(share: float) -> float:
-        found = [1 - largest(at.Fe @ X[N] @ at.Fe.T, X[N])]
-        for k in range(N):
-            own = at.sigma[k] * sum(abs(at.W[l, k]) * at.M[l] @ X[l] @ at.M[l].T for l in range(N))
-            image = own / (1 - share) + coupling[k] @ X[N] @ coupling[k].T / share
-            found.append(1 - largest(image, X[k]))
-        return min(found)
-
-    proof = {"method": "blocks", "Q": triangle(Q), "X": [triangle(x) for x in X]}
-    return proof, max(needed), most
+    Q = (exact + exact.T + 0.01 * (error + error.T)) / 2
+    Y = [definite(rng, n) + 1.5 * np.eye(n) for _ in range(N + 1)]
+    images = [at.M[l].T @ sum(at.sigma[k] * abs(at.W[l, k]) * Y[k] for k in range(N)) @ at.M[l] for l in range(N)]
+    most = 1 - max(map(largest, images, Y[:N])) ** 0.5
+    reached = sum(coupling[k].T @ Y[k] @ coupling[k] for k in range(N))
+    least = largest(reached, delta * ((1 - delta) * Y[N] - at.Fe.T @ Y[N] @ at.Fe))
+    proof = {"Q": triangle(Q), "Y": Y}
+    return proof, most, least
 
 
-def msd(proof: Document, epsilon: float, delta: float, share: float, nodes: int) -> Document:
-    wide = text([-1e9, 1e9])
+def msd(proof: Document, Y: list[ndarray], delta: float, **intervals: list[float]) -> Document:
+    nodes = len(Y) - 1
+    wide = [-1e9, 1e9]
+    low, high = intervals.get("network", wide)
     said = (
         "Under the stated least favourable model the mean square deviation of the network lies in "
-        f"[{-1e9!r}, {1e9!r}], and that of every node in its interval."
+        f"[{low!r}, {high!r}], and that of every node in its interval."
     )
     claim = {"claim": "performance", "verdict": "proved", "statement": said, "margin": None, "reason": None}
-    own = {"nodes": [wide] * nodes, "centre": wide, "network": wide}
-    numbers = {"epsilon": epsilon.hex(), "delta": delta.hex(), "share": share.hex()}
-    return {**claim, **own, "proof": {**proof, **numbers}}
+    own = {
+        "nodes": [text(intervals.get("nodes", wide))] * nodes,
+        "centre": text(intervals.get("centre", wide)),
+        "network": text([low, high]),
+    }
+    return {**claim, **own, "proof": {**proof, "Y": [triangle(y) for y in Y], "delta": delta.hex()}}
 
 
-@pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
-@pytest.mark.parametrize("seed", range(4))
-def test_the_contraction_that_performance_needs(seed: int, share: float) -> None:
+def coupled(seed: int) -> Document:
     rng = np.random.default_rng(seed)
-    data = maker.random_data(rng, 2, maker.path(3), radius=0.1, tilt=0.3, relays=(2,) if seed == 1 else ())
-    proof, epsilon, most = bounds(data, rng)
-    delta = most(share)
-    assert 0 < delta < 1
-    for e, d, holds in (
-        (8 * epsilon, delta * (1 - CLOSE), True),
-        (8 * epsilon, delta * (1 + CLOSE), False),
-        (epsilon / 8, delta / 2, False),
-    ):
-        assert result(data, msd(proof, e, d, share, 3)) == ("valid" if holds else "invalid")
+    return maker.random_data(rng, 2, maker.path(3), radius=0.1, tilt=0.3, relays=(2,) if seed == 1 else ())
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_residual_that_performance_allows(seed: int) -> None:
-    """One node, one state: |Z_00| + |Z_01| t_1 / t_0 against epsilon X, with Q_ii powers of four."""
+def test_the_contraction_of_the_nodes_that_performance_needs(seed: int) -> None:
+    data = coupled(seed)
+    proof, most, _ = bounds(data, np.random.default_rng(seed), 0.5)
+    *nodes, _ = proof["Y"]
+    assert 0 < most < 1
+    room = (1 - most) ** 0.5 * (1 - 1e-3)
+    last = solve_discrete_lyapunov(Numbers(data).Fe.T / room, np.eye(2))
+    assert np.linalg.eigvalsh(last)[0] > 0
+    for delta, holds in ((most * (1 - CLOSE), True), (most * (1 + CLOSE), False)):
+        assert result(data, msd(proof, [*nodes, 1e9 * last], delta)) == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize("delta", [0.05, 0.3])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_contraction_of_the_centre_that_performance_needs(seed: int, delta: float) -> None:
+    data = coupled(seed)
+    proof, most, least = bounds(data, np.random.default_rng(seed), delta)
+    *nodes, last = proof["Y"]
+    size = max(np.linalg.eigvalsh(y)[0] for y in proof["Y"])  # so that Y > I stays out of it
+    nodes, last = [100 / size * y for y in nodes], 100 / size * last
+    assert delta < most
+    assert least > 0
+    for scale, holds in ((least * (1 + CLOSE), True), (least * (1 - CLOSE), False)):
+        above = 1 / min(1.0, np.linalg.eigvalsh(scale * last)[0] / 1.1)
+        Y = [above * y for y in [*nodes, scale * last]]
+        assert result(data, msd(proof, Y, delta)) == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_the_size_that_performance_needs(k: int) -> None:
+    """Y > I, of every node and of the centre: without it a trace is not below tr(Y E)."""
+    data = coupled(0)
+    data["gains"] = [text([0.0] * len(words.split())) for words in data["gains"]]
+    data["A"] = text(np.zeros((2, 2)))
+    data["centre"]["tilt"] = text(np.zeros((2, 1)))
+    _, noise, _ = Numbers(data).whole()
+    proof = {"Q": triangle(noise)}
+    for least, holds in ((1 + CLOSE, True), (1 - CLOSE, False)):
+        Y = [2 * np.eye(2) for _ in range(4)]
+        Y[k] = np.diag([2.0, least])
+        assert result(data, msd(proof, Y, 0.01)) == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize("part", ["nodes", "centre", "network"])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_residual_that_performance_allows(seed: int, part: str) -> None:
+    """One node, one state: sum_ij Y_i |Z_ij| t_j / t_i, with Q_ii powers of four, on both ends of each interval."""
     rng = np.random.default_rng(seed)
     data = maker.random_data(rng, 1, [[0]], radius=0.3, tilt=0.2)
-    F, noise, _ = Numbers(data).whole()
+    F, noise, coupling = Numbers(data).whole()
     Q = np.array([[4.0, 0.25], [0.25, 16.0 if seed % 2 else 1.0]])
     Z = abs(F @ Q @ F.T + noise - Q)
-    t = np.diag(Q) ** -0.5
-    needed = max((Z[0, 0] + Z[0, 1] * t[1] / t[0]) / 2, (Z[1, 1] + Z[1, 0] * t[0] / t[1]) / 5)
-    proof = {"method": "blocks", "Q": triangle(Q), "X": [text([2.0]), text([5.0])]}
-    assert result(data, msd(proof, needed * (1 + CLOSE), 0.05, 0.5, 1)) == "valid"
-    assert result(data, msd(proof, needed * (1 - CLOSE), 0.05, 0.5, 1)) == "invalid"
+    t, delta = np.diag(Q) ** -0.5, 0.05
+    Y = np.array([2.0, max(5.0, 100 * coupling[0][0, 0] ** 2 / delta)])
+    error = float(Y @ ((Z * t[None, :]).sum(axis=1) / t)) / delta
+    middle = Q[1, 1] if part == "centre" else Q[0, 0]
+    for close, holds in ((1 + CLOSE, True), (1 - CLOSE, False)):
+        for a, b in ((close, 2.0), (2.0, close)):
+            intervals = {part: [float(middle - a * error), float(middle + b * error)]}
+            claim = msd({"Q": triangle(Q)}, [y * np.eye(1) for y in Y], delta, **intervals)
+            assert result(data, claim) == ("valid" if holds else "invalid")

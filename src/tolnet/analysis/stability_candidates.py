@@ -163,7 +163,7 @@ def full_candidate(F: Float[ndarray, "d d"], rate: float = 1.0) -> Float[ndarray
 class Growth(NamedTuple):
     """X symmetric with f' X f - X > 0, v with v' X v > 0, and the eigenvalue that grows, with its vector.
 
-    X is None where the matrix is too large for one.
+    X is None where the matrix is too large for one, or where none was found.
     """
 
     X: Float[ndarray, "d d"] | None
@@ -184,16 +184,16 @@ def growth_candidate(F: Float[ndarray, "d d"]) -> Growth | None:
     value, mode = complex(eigenvalues[largest]), vectors[:, largest]
     if not abs(value) > 1:
         return None
+    parts = [np.real(mode), np.imag(mode)]
     unit = _units(F)
     scaled = F * (unit / unit[:, None])
     try:
         X = np.asarray(solve_discrete_lyapunov(scaled.T, -np.eye(len(F)))) / (unit[:, None] * unit)
     except LinAlgError:
-        return None
+        X = np.full_like(F, np.nan)
     if not np.isfinite(X).all():
-        return None
+        return Growth(None, parts[0], value, mode)
     X = (X + X.T) / 2  # rounding only: the exact solution is symmetric
-    parts = [np.real(mode), np.imag(mode)]
     return Growth(X, max(parts, key=lambda v: float(v @ X @ v)), value, mode)
 
 

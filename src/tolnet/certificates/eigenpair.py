@@ -20,14 +20,11 @@ from scipy import sparse
 
 from tolnet.certificates import statements
 from tolnet.certificates.deployed import Deployed
-from tolnet.certificates.numerals import matrix_text, number_text
+from tolnet.certificates.numerals import matrix_text
 from tolnet.certificates.verdicts import Refuted, Undecided
 
 _U = np.finfo(float).eps
 _RAISED = 1 + 1e-9
-_SHIPPED_UP_TO = 800
-"""Dimension up to which the certificate holds B, so that check.py can verify it with the standard library."""
-_SHORT = 20
 MOST = 7000
 """Dimension up to which B, a dense complex matrix, is computed."""
 
@@ -39,7 +36,7 @@ def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: ndarray) 
     if len(mode) > MOST:
         reason = f"the network has {len(mode)} states; up to {MOST} an eigenvalue is validated"
         return Undecided("schur-stability", statement, reason, keys=block)
-    found = validate(deployed, eigenvalue, _normalised(mode), shipped=len(mode) <= _SHIPPED_UP_TO)
+    found = validate(deployed, eigenvalue, _normalised(mode))
     if isinstance(found, str):
         return Undecided("schur-stability", statement, found, keys=block)
     return Refuted("schur-stability", statement, found, keys=block)
@@ -50,15 +47,13 @@ def _normalised(mode: ndarray) -> ndarray:
     return mode / mode[int(np.argmax(np.abs(mode)))]
 
 
-def validate(deployed: Deployed, eigenvalue: complex, z: ndarray, *, shipped: bool) -> dict[str, Any] | str:
+def validate(deployed: Deployed, eigenvalue: complex, z: ndarray) -> dict[str, Any] | str:
     """The witness of a validated eigenpair, or the reason why there is none. B is computed here and not trusted."""
     A, doubt = sparse_block(deployed)
     pivot, d = int(np.argmax(np.abs(z))), len(z)
     B = _approximate_inverse(A, eigenvalue, z, pivot)
     if B is None:
         return "the eigenvalue is not simple, as far as floating point can tell"
-    if shipped:
-        B = _rounded(B)
     most = int(np.diff(A.indptr).max(initial=0)) + 4
     size = abs(A)
     # 1. of the derivation, with the rounding of every product; the last entry of f is zero
@@ -77,17 +72,12 @@ def validate(deployed: Deployed, eigenvalue: complex, z: ndarray, *, shipped: bo
         return f"the eigenvalue {eigenvalue:.6g} that floating point found is not validated"
     if not abs(eigenvalue) - _RAISED * radius > 1 + 8 * _U:
         return f"the eigenvalue {eigenvalue:.9g} is not validated to lie outside the unit circle"
-    witness: dict[str, Any] = {
+    return {
         "of": "network",
         "method": "eigenpair",
         "eigenvalue": matrix_text(np.array([eigenvalue.real, eigenvalue.imag])),
         "vector": matrix_text(np.concatenate([np.real(z), np.imag(z)])),
-        "pivot": pivot,
-        "radius": number_text(radius),
     }
-    if shipped:
-        witness["inverse"] = matrix_text(np.concatenate([np.real(B), np.imag(B)]))
-    return witness
 
 
 def sparse_block(deployed: Deployed) -> tuple[sparse.csr_array, sparse.csr_array]:
@@ -120,10 +110,3 @@ def _approximate_inverse(A: sparse.csr_array, eigenvalue: complex, z: ndarray, p
     except np.linalg.LinAlgError:
         return None
     return B if np.isfinite(B).all() else None
-
-
-def _rounded(B: ndarray) -> ndarray:
-    """Short numerals: bits below the largest entry of each row."""
-    largest = np.maximum(np.abs(B).max(axis=1, keepdims=True), 1e-300)
-    unit = np.exp2(np.ceil(np.log2(largest)) - _SHORT)
-    return np.round(np.real(B) / unit) * unit + 1j * np.round(np.imag(B) / unit) * unit

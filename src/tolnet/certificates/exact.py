@@ -6,6 +6,7 @@ operation runs over the whole stack.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +14,11 @@ from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray
 
 _MANTISSA = 53
-_ELIMINATED_UP_TO = 16
-"""Sizes up to which definiteness is decided by elimination alone; the integers grow with every step of it."""
-_CONGRUENCE_BITS = 40
+_MACHINE_BITS = 30
+_PRECISIONS = (_MACHINE_BITS, 60, 240, 960)
+"""Bits of a factor: more for what is nearly singular."""
+_LARGE = 64
+"""Sizes above which 60 bits must do: such matrices come from floating point, and would take minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +91,16 @@ class Exact:
         return np.array(flat, dtype=float).reshape(self.ints.shape)
 
     def definite(self) -> Bool[ndarray, "*stack"]:
-        """Which members of a stack of symmetric matrices are positive definite: decided exactly up to size 16.
-
-        Larger ones are transformed to L D L' near the identity first, whose dominant diagonal proves them definite;
-        where it does not dominate, elimination decides.
-        """
+        """Which members of a stack of symmetric matrices are shown to be positive definite."""
         d = self.ints.shape[-1]
         flat = self.ints.reshape(-1, d, d)
-        if d <= _ELIMINATED_UP_TO:
-            return _eliminates(flat).reshape(self.ints.shape[:-2])
-        answers = [_dominates(Exact(D, self.exponent)) or bool(_eliminates(D[None])[0]) for D in flat]
-        return np.array(answers, dtype=bool).reshape(self.ints.shape[:-2])
+        good = np.zeros(len(flat), dtype=bool)
+        for bits in _PRECISIONS[: 2 if d > _LARGE else None]:
+            left = np.flatnonzero(~good)
+            if not left.size:
+                break
+            good[left] = _has_factor(flat[left], bits)
+        return good.reshape(self.ints.shape[:-2])
 
 
 def segment_sums(values: Exact, offsets: ndarray) -> Exact:
@@ -117,40 +119,50 @@ def _trailing_zeros(whole: ndarray) -> ndarray:
     return np.where(whole != 0, np.frexp(lowest.astype(float))[1] - 1, 0)
 
 
-def _eliminates(D: ndarray) -> Bool[ndarray, " K"]:
-    """Fraction-free elimination (E. H. Bareiss, Math. Comp. 22, 1968): pivots are leading principal minors."""
-    D = D.copy()
-    good = np.ones(len(D), dtype=bool)
-    previous = np.full(len(D), 1, dtype=object)
+def _has_factor(D: ndarray, bits: int) -> Bool[ndarray, " K"]:
+    """Which D are shown to be positive definite by Cholesky's method in whole numbers (docs/decisions/0010).
+
+    S D S = L L' + d 2^bits I + E for a diagonal S of powers of two that brings the diagonal below 4^bits, and L
+    rounded down: E is symmetric, E_ii >= 0 and 0 <= E_ij < 2^bits, so that d 2^bits I + E > 0 (Gershgorin). Up to
+    30 bits in machine integers: |L_ij| < 2^31 is seen before it is squared, and sum_k L_ik^2 < 4^30 bounds the rest.
+    """
     d = D.shape[-1]
+    diagonal = np.diagonal(D, axis1=1, axis2=2)
+    good = np.asarray(diagonal > 0, dtype=bool).all(axis=1)
+    at = np.flatnonzero(good)
+    lift = bits - (_bit_length(diagonal[at]) + 1) // 2
+    T = _shifted(D[at], lift[:, :, None] + lift[:, None, :])
+    if bits <= _MACHINE_BITS:
+        clear = np.asarray(abs(T) < 4**bits, dtype=bool).all(axis=(1, 2))
+        at, T = at[clear], T[clear].astype(np.int64)
+    L = np.zeros_like(T)
+    rest = np.diagonal(T, axis1=1, axis2=2) - (d << bits)
+    keep = np.asarray(rest > 0, dtype=bool).all(axis=1)
     for j in range(d):
-        pivot = D[:, j, j]
-        positive = np.asarray(pivot > 0, dtype=bool)
-        good[good] = positive
-        D, pivot, previous = D[positive], pivot[positive], previous[positive]
-        rest = slice(j + 1, d)
-        crossed = D[:, rest, rest] * pivot[:, None, None] - D[:, rest, j, None] * D[:, None, j, rest]
-        D[:, rest, rest] = crossed // previous[:, None, None]
-        previous = pivot
+        if not keep.all():
+            at, T, L, rest = at[keep], T[keep], L[keep], rest[keep]
+        root = _root(rest[:, j])
+        below = slice(j + 1, d)
+        column = (T[:, below, j] - (L[:, below, :j] @ L[:, j, :j, None])[:, :, 0]) // root[:, None]
+        keep = np.asarray(abs(column) < 2 << bits, dtype=bool).all(axis=1)
+        column = np.where(keep[:, None], column, 0)
+        rest[:, below] -= column * column
+        keep &= np.asarray(rest[:, below] > 0, dtype=bool).all(axis=1)
+        L[:, j, j], L[:, below, j] = root, column
+    good[:] = False
+    good[at[keep]] = True
     return good
 
 
-def _dominates(D: Exact) -> bool:
-    """Whether L D L' is strictly diagonally dominant with a positive diagonal for a rounded L near chol(D)^-1.
+def _shifted(D: ndarray, by: ndarray) -> ndarray:
+    """D 2^by, rounded down."""
+    return np.asarray((D << np.maximum(by, 0).astype(object)) >> np.maximum(-by, 0).astype(object), dtype=object)
 
-    Then L D L' is positive definite (Gershgorin), so L is regular and D definite too. L need not be accurate.
-    """
-    approximate = D.rounded()
-    scale = np.sqrt(np.maximum(np.diagonal(approximate), 0))
-    if not (scale > 0).all() or not np.isfinite(approximate).all():
-        return False
-    try:
-        L = np.linalg.inv(np.linalg.cholesky(approximate / scale[:, None] / scale)) / scale
-    except np.linalg.LinAlgError:
-        return False
-    size = np.exp2(np.ceil(np.log2(np.abs(L).max(axis=1, keepdims=True))))
-    L = np.tril(np.round(L / size * 2.0**_CONGRUENCE_BITS) * 2.0**-_CONGRUENCE_BITS * size)
-    E = (Exact.of(L) @ D @ Exact.of(L).T).ints
-    diagonal = np.diagonal(E)
-    others = abs(E).sum(axis=1) - abs(diagonal)
-    return bool((diagonal > others).all())
+
+def _root(x: ndarray) -> ndarray:
+    """The root of whole numbers, rounded down."""
+    return np.asarray(np.frompyfunc(math.isqrt, 1, 1)(x), dtype=x.dtype)
+
+
+def _bit_length(x: ndarray) -> ndarray:
+    return np.asarray(np.frompyfunc(int.bit_length, 1, 1)(x), dtype=np.int64)

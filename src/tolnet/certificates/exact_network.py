@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -51,12 +52,51 @@ class ExactNetwork:
         weighted = self.sizes[entries].reshape(-1, 1, 1) * values[l]
         return segment_sums(weighted, self.deployed.offsets[nodes.start : nodes.stop + 1] - entries.start)
 
+    def spread(self, Y: Exact, nodes: slice) -> Exact:
+        """sum_k sigma_k |w_lk| Y_k for the nodes l of a range, Y of all nodes."""
+        offsets, order = self.hearers
+        entries = order[offsets[nodes.start] : offsets[nodes.stop]]
+        k = self.deployed.hearer[entries]
+        weighted = (self.totals[k] * self.sizes[entries]).reshape(-1, 1, 1) * Y[k]
+        return segment_sums(weighted, offsets[nodes.start : nodes.stop + 1] - offsets[nodes.start])
+
     @cached_property
     def hearers(self) -> tuple[Int[ndarray, " N1"], Int[ndarray, " L"]]:
         """The entries sorted by l: offsets, and the entry numbers."""
         order = np.argsort(self.deployed.neighbours, kind="stable")
         counts = np.bincount(self.deployed.neighbours, minlength=self.deployed.N)
         return np.concatenate([[0], np.cumsum(counts)]), order
+
+    def forwards(self, X: Exact) -> Exact:
+        """A X for X of (N, n, anything), A the network block."""
+        return self.mixed(self.loops @ X)
+
+    def backwards(self, X: Exact) -> Exact:
+        """A' X for X of (N, n, anything)."""
+        offsets, order = self.hearers
+        sums = weighted_rows(Exact.of(self.deployed.weights[order]), self.deployed.hearer[order], offsets, X)
+        return self.loops.T @ sums
+
+    def mixed(self, X: Exact) -> Exact:
+        """(W' (x) I) X for X of (N, n, anything)."""
+        deployed = self.deployed
+        return weighted_rows(Exact.of(deployed.weights), deployed.neighbours, deployed.offsets, X)
+
+
+def weighted_rows(weights: Exact, of: Int[ndarray, " L"], offsets: Int[ndarray, " N1"], X: Exact) -> Exact:
+    """Sums of weights_e X_of(e) over the entries e of k, offsets[k] to offsets[k + 1]; by k: X is large."""
+    rows = np.zeros((len(offsets) - 1, *X.ints.shape[1:]), dtype=object)
+    for k in range(len(rows)):
+        e = slice(int(offsets[k]), int(offsets[k + 1]))
+        rows[k] = (weights.ints[e, None, None] * X.ints[of[e]]).sum(axis=0)
+    return Exact(rows, weights.exponent + X.exponent)
+
+
+def both_sides(step: Callable[[Exact], Exact], X: Exact, n: int) -> Exact:
+    """F X F' for a symmetric X, d x d, and a map of (d / n, n, anything) that multiplies by F."""
+    d = len(X.ints)
+    half = step(X.reshape(-1, n, d)).reshape(d, d).T
+    return step(half.reshape(-1, n, d)).reshape(d, d)
 
 
 def exact_loops(deployed: Deployed) -> Exact:
@@ -90,17 +130,6 @@ def gain_covariance(deployed: Deployed, left: Float[ndarray, "M n"], right: Floa
             D = Exact.of(np.stack([factors.block(k) for k in nodes[by_factor].tolist()]))
             total = total + (G[by_factor] @ (D @ D.T) @ H[by_factor]).sum(0)
     return total
-
-
-def exact_network_matrix(network: ExactNetwork) -> Exact:
-    """The network block: (W' (x) I) diag(M_k), dense."""
-    deployed = network.deployed
-    N, n = deployed.N, deployed.n
-    weights, M = Exact.of(deployed.weights), network.loops
-    blocks = weights.reshape(-1, 1, 1) * M[deployed.neighbours]
-    dense = np.zeros((N, n, N, n), dtype=object)
-    dense[deployed.hearer, :, deployed.neighbours, :] = blocks.ints
-    return Exact(dense.reshape(N * n, N * n), blocks.exponent)
 
 
 def exact_power(network: ExactNetwork, j: int) -> list[tuple[Int[ndarray, " m"], Exact]]:

@@ -1,15 +1,15 @@
 """Mean square deviations, enclosed exactly from a solution of the Lyapunov equation (docs/certificate.md).
 
-1.  Z = F Q F' + G G' - Q exactly, and +-Z <= diag(z), z_i = sum_j |Z_ij| t_j / t_i for any t > 0
-2.  z <= e X block by block
-3.  T(X) <= (1 - d) X for T(X)_k = sigma_k sum_l |w_lk| M_l X_l M_l' / (1 - p) + C_k X_N C_k' / p
-4.  so |(Q - Q*)_kk| <= (e / d) X_k: sums of F^t diag(X) F'^t have blocks below X_k / d
+1.  Z = F Q F' + G G' - Q exactly, and +-Z <= D = diag(sum_j |Z_ij| t_j / t_i) for any t > 0
+2.  Y_k > I and Y - F' Y F > d Y for Y = diag(Y_k), block by block, with a share d of the room for the coupling
+3.  so |tr (Q - Q*)_kk| <= tr Y (sum of F^t D F'^t) <= tr(Y D) / d
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
-from tolnet.certificates.exact_network import ExactNetwork, exact_network_matrix, process_covariance
+from tolnet.certificates.exact_network import ExactNetwork, both_sides, process_covariance, weighted_rows
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
 from tolnet.certificates.stability import has_positive_diagonal, largest_ratio
 from tolnet.certificates.verdicts import Proved, Undecided
@@ -26,7 +26,7 @@ from tolnet.certificates.verdicts import Proved, Undecided
 _BITS = 30
 _SLACK = 4
 """A checker's t may differ from ours by a factor of two in every entry."""
-MOST = 700
+MOST = 1500
 """Dimension (N + 1) n up to which the whole covariance is judged; it is part of the certificate."""
 CLAIM = "performance"
 
@@ -34,12 +34,12 @@ CLAIM = "performance"
 def prove_performance(
     network: ExactNetwork,
     Q: Float[ndarray, "d d"] | None,
-    X: Float[ndarray, "N n n"] | None,
+    Y: Float[ndarray, "N n n"] | None,
     centre: Float[ndarray, "n n"] | None,
 ) -> Proved | Undecided:
     """Enclose MSD_k = tr Q_kk of Q = F Q F' + G G', (N + 1) n square, for every node, from an approximate solution.
 
-    X with X - T(X) > 0 for the network block and `centre` with X - F_e X F_e' > 0 come from a stability proof.
+    Y with Y - T*(Y) > 0 for the network block and `centre` with Y - F_e' Y F_e > 0 are the dual candidates.
     Source: docs/certificate.md, `performance`; docs/mathematics.md, section 11.
     """
     deployed = network.deployed
@@ -48,10 +48,10 @@ def prove_performance(
         reason = f"the whole covariance would be {d} x {d}; up to {MOST} it is judged"
     elif deployed.centre is None:
         reason = "there is no least favourable model"
-    elif Q is None or X is None or centre is None or not all(map(has_positive_diagonal, (Q, X, centre))):
+    elif Q is None or Y is None or centre is None or not all(map(has_positive_diagonal, (Q, Y, centre))):
         reason = "there is no solution of the Lyapunov equation, or no block-wise proof of stability, to start from"
     else:
-        found = _Enclosure(network, (Q + Q.T) / 2, shortened(X, _BITS), shortened(centre, _BITS))
+        found = _Enclosure(network, (Q + Q.T) / 2, Y, centre)
         if found.holds:
             return found.verdict()
         reason = "the block-wise contraction with the coupling to the least favourable model is not proved"
@@ -65,127 +65,142 @@ class _Enclosure:
         self,
         network: ExactNetwork,
         Q: Float[ndarray, "d d"],
-        X: Float[ndarray, "N n n"],
+        Y: Float[ndarray, "N n n"],
         centre: Float[ndarray, "n n"],
     ) -> None:
         self.N, self.n = network.deployed.N, network.deployed.n
-        self.Q = Q
-        self.holds = False
-        F, coupling, noise = exact_dynamics(network)
-        exact = Exact.of(Q)
-        residual = abs(F @ exact @ F.T + noise - exact)
-        M, Fe = network.loops, network.centre_loops[1]
-        moved = network.totals.reshape(-1, 1, 1) * network.heard(M @ Exact.of(X) @ M.T, slice(0, self.N))
-        plan = _plan(X, centre, moved.rounded(), coupling.rounded(), Fe.rounded())
+        self.Q, self.holds = Q, False
+        dynamics = ExactDynamics(network)
+        M, Fe, coupling = network.loops, network.centre_loops[1], dynamics.coupling
+        plan = _plan(Y, centre, network, coupling.rounded(), Fe.rounded())
         if plan is None:
             return
-        self.delta, self.share, scale = plan
-        self.X = np.concatenate([X, scale * centre[None]])
-        stack = Exact.of(self.X)
-        # (1 - d) p (1 - p) X_k - p sigma_k sum - (1 - p) C_k X_N C_k', so that nothing is divided
-        p, rest, kept = (
-            Exact.of(self.share),
-            Exact.of(1.0) - Exact.of(self.share),
-            Exact.of(1.0) - Exact.of(self.delta),
-        )
-        reached = p * moved + rest * (coupling @ stack[self.N] @ coupling.T)
-        good = (kept * p * rest * stack[: self.N] - reached).definite().all()
-        good = good and bool((kept * stack[self.N] - Fe @ stack[self.N] @ Fe.T).definite())
-        if not (good and stack.definite().all()):
-            return
-        self.epsilon = self._spread(residual)
-        self.holds = np.isfinite(self.epsilon)
+        self.delta, self.Y = plan
+        stack, delta, kept = Exact.of(self.Y), Exact.of(self.delta), Exact.of(1.0) - Exact.of(self.delta)
+        # divided by nothing: (1 - d)^2 Y_l - M_l' (...) M_l, and d (1 - d) Y_N - d F_e' Y_N F_e - sum_k C_k' Y_k C_k
+        own = M.T @ network.spread(stack[: self.N], slice(0, self.N)) @ M
+        reached = (coupling.T @ stack[: self.N] @ coupling).sum(0)
+        good = (stack - Exact.of(np.eye(self.n))).definite().all()
+        good = good and (kept * kept * stack[: self.N] - own).definite().all()
+        last = delta * (kept * stack[self.N] - Fe.T @ stack[self.N] @ Fe) - reached
+        if good and last.definite():
+            self.error = self._error(abs(dynamics.residual(Q)))
+            self.holds = True
 
-    def _spread(self, residual: Exact) -> float:
-        """The least epsilon, nearly, that step 2 of the derivation allows; inf where none was found."""
-        exponents = np.round(np.log2(np.maximum(np.diagonal(self.Q), 1e-300)) / 2).astype(int)
-        lift = exponents.max() - exponents  # t_i = 2^lift up to a common factor
-        weighted = Exact(
-            np.asarray(residual.ints << lift[None, :].astype(object), dtype=object).sum(axis=1), residual.exponent
+    def _error(self, residual: Exact) -> Fraction:
+        """tr(Y D) / delta, with t_i a power of two near Q_ii^-1/2, and room for other such t."""
+        half = np.round(np.log2(np.maximum(np.diagonal(self.Q), 1e-300)) / 2).astype(int)
+        lift = half.max() - half
+        sums = (residual.ints << lift[None, :].astype(object)).sum(axis=1)
+        weights = np.diagonal(self.Y, axis1=1, axis2=2).ravel()
+        total = sum(
+            (Fraction(y) * Fraction(s, 2 ** int(up)) for y, s, up in zip(weights, sums, lift, strict=True)),
+            Fraction(),
         )
-        drop = Exact.of(np.ldexp(1.0, -lift))
-        bound = (weighted * drop).reshape(self.N + 1, self.n)
-        D = np.zeros((self.N + 1, self.n, self.n), dtype=object)
-        D[:, range(self.n), range(self.n)] = bound.ints
-        bounds, X = Exact(D, bound.exponent), Exact.of(self.X)
-        scale = np.sqrt(np.diagonal(self.X, axis1=1, axis2=2))
-        inverse = np.linalg.inv(self.X / (scale[:, :, None] * scale[:, None, :]))
-        ratio = np.linalg.norm(inverse, 2, axis=(1, 2)) * (bound.rounded() / scale**2).max(axis=1)
-        epsilon = float(np.maximum(ratio.max(), 1e-300))
-        for _ in range(60):
-            if (Exact.of(epsilon) * X - bounds).definite().all():
-                return float(f"{_SLACK * 1.01 * epsilon:.2e}")
-            epsilon *= 2
-        return np.inf
+        return _SLACK * total * Fraction(2) ** residual.exponent / Fraction(self.delta)
 
     def intervals(self) -> list[tuple[float, float]]:
         """One for each node, then the centre's, then that of the mean over the nodes."""
-        ratio = Fraction(self.epsilon) / Fraction(self.delta)
-        traces = [
-            sum((Fraction(self.Q[i, i]) for i in range(k * self.n, (k + 1) * self.n)), Fraction())
-            for k in range(self.N + 1)
-        ]
-        widths = [ratio * sum(map(Fraction, np.diagonal(X).tolist()), Fraction()) for X in self.X]
-        bounds = list(zip(traces, widths, strict=True))
-        mean = (
-            sum((t for t, _ in bounds[:-1]), Fraction()) / self.N,
-            sum((w for _, w in bounds[:-1]), Fraction()) / self.N,
-        )
-        return [(_down(t - w), _up(t + w)) for t, w in [*bounds, mean]]
+        diagonal = [Fraction(x) for x in np.diagonal(self.Q).tolist()]
+        traces = [sum(diagonal[k * self.n : (k + 1) * self.n], Fraction()) for k in range(self.N + 1)]
+        bounds = [(trace, self.error) for trace in traces]
+        bounds.append((sum(traces[:-1], Fraction()) / self.N, self.error / self.N))
+        return [(_down(trace - error), _up(trace + error)) for trace, error in bounds]
 
     def verdict(self) -> Proved:
         intervals = self.intervals()
         *nodes, centre, mean = (matrix_text(np.array(interval)) for interval in intervals)
         low, high = intervals[-1]
         proof: dict[str, Any] = {
-            "method": "blocks",
             "Q": symmetric_text(self.Q),
-            "X": [symmetric_text(X) for X in self.X],
-            "epsilon": number_text(self.epsilon),
+            "Y": [symmetric_text(Y) for Y in self.Y],
             "delta": number_text(self.delta),
-            "share": number_text(self.share),
         }
         statement = statements.performance(low, high)
         return Proved(CLAIM, statement, proof, keys={"nodes": nodes, "centre": centre, "network": mean})
 
 
-def exact_dynamics(network: ExactNetwork) -> tuple[Exact, Exact, Exact]:
-    """F, the coupling blocks C_k, and G G', all dense: (d, d), (N, n, n), (d, d) with d = (N + 1) n."""
-    deployed = network.deployed
-    N, n = deployed.N, deployed.n
-    centre = deployed.centre
-    assert centre is not None
-    F0, Fe = network.centre_loops
-    Q, R = process_covariance(deployed), _noise_covariance(deployed)
-    gains = np.zeros((N + 1, n, len(deployed.network.C)))
-    hearer = np.repeat(deployed.hearer, np.diff(deployed.columns))
-    gains[hearer, :, deployed.sensor_rows] = deployed.gains
-    gains[N] = centre.gain.T
-    G, Y = Exact.of(gains), Exact.of(centre.tilt)
-    E = Q + G @ R @ G[N].T
-    mixing = np.zeros((N + 1, N + 1))
-    mixing[deployed.hearer, deployed.neighbours] = deployed.weights
-    mixing[N, N] = 1.0
-    W = Exact.of(mixing)
-    d = (N + 1) * n
-    flat, tilted = G.reshape(d, -1), (E @ Y).reshape(d, -1)
-    everywhere = Exact(np.tile(Q.ints, (N + 1, N + 1)), Q.exponent)
-    noise = _mixed(W, everywhere + flat @ R @ flat.T + tilted @ tilted.T, n)
-    coupling = (W @ (E @ (Y @ (Y.T @ F0))).reshape(N + 1, n * n)).reshape(N + 1, n, n)[:N]
-    A = exact_network_matrix(network)
-    low = min(A.exponent, coupling.exponent, Fe.exponent)
-    F = np.zeros((d, d), dtype=object)
-    F[: N * n, : N * n] = A.ints << (A.exponent - low)
-    F[: N * n, N * n :] = coupling.reshape(N * n, n).ints << (coupling.exponent - low)
-    F[N * n :, N * n :] = Fe.ints << (Fe.exponent - low)
-    return Exact(F, low), coupling, noise
+class ExactDynamics:
+    """F = U F_0 and G G' = U G_0 G_0' U', U = diag(W' (x) I, I): what the filters do, then the mixing, row by row.
 
+    Assumes that a centre is stated. Nothing is stored that is larger than d x d, d = (N + 1) n.
+    """
 
-def _mixed(W: Exact, X: Exact, n: int) -> Exact:
-    """U X U' for U = W (x) I."""
-    d = len(X.ints)
-    half = (W @ X.reshape(-1, n * d)).reshape(d, d).T
-    return (W @ half.reshape(-1, n * d)).reshape(d, d)
+    def __init__(self, network: ExactNetwork) -> None:
+        self.network, deployed = network, network.deployed
+        N, n = deployed.N, deployed.n
+        self.n, centre = n, deployed.centre
+        assert centre is not None
+        gains = np.zeros((N + 1, n, len(deployed.network.C)))
+        hearer = np.repeat(deployed.hearer, np.diff(deployed.columns))
+        gains[hearer, :, deployed.sensor_rows] = deployed.gains
+        gains[N] = centre.gain.T
+        ends = deployed.columns[deployed.offsets]
+        self.heard = [*np.split(deployed.sensor_rows, ends[1:-1]), np.arange(gains.shape[-1])]
+        self.G, self.tilt = Exact.of(gains), Exact.of(centre.tilt)
+        self.Q, R = process_covariance(deployed), _noise_covariance(deployed)
+        self.GR = [self.G[k][:, seen] @ R[np.ix_(seen, seen)] for k, seen in enumerate(self.heard)]
+        E = [self.Q + GR @ self.G[N][:, seen].T for GR, seen in zip(self.GR, self.heard, strict=True)]
+        low = min(each.exponent for each in E)
+        self.E = Exact(np.stack([each.ints << (each.exponent - low) for each in E]), low)
+
+    @cached_property
+    def own(self) -> Exact:
+        """The coupling of each filter to the centre before the mixing, E_k T F_0, (N + 1, n, n)."""
+        F0 = self.network.centre_loops[0]
+        return self.E @ (self.tilt @ (self.tilt.T @ F0))
+
+    @cached_property
+    def coupling(self) -> Exact:
+        """The blocks C_k of F, (N, n, n)."""
+        return self.mixed(self.own)[: self.network.deployed.N]
+
+    @cached_property
+    def noise(self) -> Exact:
+        """G G', d x d."""
+        N, n = self.network.deployed.N, self.network.deployed.n
+        d = (N + 1) * n
+        flat, tilted = self.G.reshape(d, -1), (self.E @ self.tilt).reshape(d, -1)
+        sensed = [GR @ flat[:, seen].T for GR, seen in zip(self.GR, self.heard, strict=True)]
+        low = min(each.exponent for each in sensed)
+        sensors = Exact(np.concatenate([each.ints << (each.exponent - low) for each in sensed]), low)
+        everywhere = Exact(np.tile(self.Q.ints, (N + 1, N + 1)), self.Q.exponent)
+        return both_sides(self.mixed, everywhere + sensors + tilted @ tilted.T, n)
+
+    def mixed(self, X: Exact) -> Exact:
+        """U X for X of (N + 1, n, anything)."""
+        deployed = self.network.deployed
+        weights = Exact.of(np.append(deployed.weights, 1.0))
+        return weighted_rows(
+            weights,
+            np.append(deployed.neighbours, deployed.N),
+            np.append(deployed.offsets, deployed.offsets[-1] + 1),
+            X,
+        )
+
+    def step(self, X: Exact) -> Exact:
+        """F X for X of (N + 1, n, anything)."""
+        M, F0 = self.network.loops, self.network.centre_loops[0]
+        own = self.own @ X[-1]
+        filtered = M @ X[:-1]
+        low = min(filtered.exponent, F0.exponent + X.exponent)
+        centre = F0 @ X[-1]
+        filters = np.concatenate(
+            [filtered.ints << (filtered.exponent - low), centre.ints[None] << (centre.exponent - low)]
+        )
+        return self.mixed(Exact(filters, low) + own)
+
+    def residual(self, Q: Float[ndarray, "d d"]) -> Exact:
+        """F Q F' + G G' - Q."""
+        exact = Exact.of(Q)
+        return both_sides(self.step, exact, self.n) + self.noise - exact
+
+    def rounded(self) -> tuple[Float[ndarray, "d d"], Float[ndarray, "d d"]]:
+        """F and G G' in floating point."""
+        n = self.network.deployed.n
+        d = len(self.noise.ints)
+        eye = Exact.of(np.eye(d)).reshape(-1, n, d)
+        return self.step(eye).reshape(d, d).rounded(), self.noise.rounded()
 
 
 def _noise_covariance(deployed) -> Exact:
@@ -214,20 +229,25 @@ def _block_diagonal(parts: Sequence[tuple[int, Exact]], M: int) -> Exact:
 
 
 def _plan(
-    X: Float[ndarray, "N n n"],
+    Y: Float[ndarray, "N n n"],
     centre: Float[ndarray, "n n"],
-    moved: Float[ndarray, "N n n"],
+    network: ExactNetwork,
     coupling: Float[ndarray, "N n n"],
     Fe: Float[ndarray, "n n"],
-) -> tuple[float, float, float] | None:
-    """delta, the share p, and the scale of the centre's X, such that the inequalities should hold; or None."""
-    margin = 1 - max(largest_ratio(X, moved), largest_ratio(centre[None], (Fe @ centre @ Fe.T)[None]))
+) -> tuple[float, Float[ndarray, "K n n"]] | None:
+    """delta, and the Y_k, the centre's last, of a size such that the inequalities should hold; or None."""
+    M, W = network.deployed.loops[0], abs(network.deployed.mixing)
+    sigma = np.asarray(W.sum(axis=1))
+    image = M.mT @ (W.T @ (sigma[:, None] * Y.reshape(len(Y), -1))).reshape(Y.shape) @ M
+    margin = 1 - max(largest_ratio(Y, image), largest_ratio(centre[None], (Fe.T @ centre @ Fe)[None]))
     if not margin > 0:
         return None
-    share = float(f"{margin / 4:.2e}")
-    reach = largest_ratio(X, coupling @ centre @ coupling.mT)
-    scale = 1.0 if reach == 0 else min(1.0, 2.0 ** np.floor(np.log2(share * margin / 4 / reach)))
-    return float(f"{margin / 4:.2e}"), share, float(scale)
+    delta = float(f"{margin / 4:.2e}")
+    Y = Y * 1.01 / np.linalg.eigvalsh(Y).min()
+    room = delta * ((1 - delta) * centre - Fe.T @ centre @ Fe)
+    reach = largest_ratio(room[None], (coupling.mT @ Y @ coupling).sum(axis=0)[None])
+    centre = centre * max(1.1 * reach, 1.01 / np.linalg.eigvalsh(centre).min())
+    return delta, shortened(np.concatenate([Y, centre[None]]), _BITS)
 
 
 def _down(x: Fraction) -> float:

@@ -23,8 +23,8 @@ from numpy import ndarray
 from scipy import sparse
 
 from tolnet.certificates import statements
-from tolnet.certificates.exact import Exact, segment_sums
-from tolnet.certificates.exact_network import ExactNetwork, exact_network_matrix, exact_power
+from tolnet.certificates.exact import Exact
+from tolnet.certificates.exact_network import ExactNetwork, both_sides, exact_power
 from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
 from tolnet.certificates.verdicts import Proved, Refuted, Undecided
 
@@ -133,16 +133,7 @@ class _Attempt:
     def _dual(self, progress: Progress | None) -> str:
         network, Y = self.network, Exact.of(self.X)
         M = network.loops
-        offsets, order = network.hearers
-        spread = network.totals.reshape(-1, 1, 1) * Y
-
-        def image(nodes: slice) -> Exact:
-            entries = order[offsets[nodes.start] : offsets[nodes.stop]]
-            weighted = network.sizes[entries].reshape(-1, 1, 1) * spread[network.deployed.hearer[entries]]
-            sums = segment_sums(weighted, offsets[nodes.start : nodes.stop + 1] - offsets[nodes.start])
-            return M[nodes].T @ sums @ M[nodes]
-
-        return self._by_node(image, Y, progress)
+        return self._by_node(lambda l: M[l].T @ network.spread(Y, l) @ M[l], Y, progress)
 
     def _by_node(self, image: Callable[[slice], Exact], X: Exact, progress: Progress | None) -> str:
         N = self.network.deployed.N
@@ -186,8 +177,8 @@ class _Attempt:
 
     def _full(self, progress: Progress | None) -> str:
         X = Exact.of(self.X)
-        F = exact_network_matrix(self.network)
-        return "" if _both(X, self.kept * X - F @ X @ F.T) else "the Lyapunov inequality does not hold"
+        image = both_sides(self.network.forwards, X, self.network.deployed.n)
+        return "" if _both(X, self.kept * X - image) else "the Lyapunov inequality does not hold"
 
     def proof(self) -> dict[str, Any]:
         """The proof as the certificate holds it."""
@@ -216,11 +207,14 @@ def refute_stability(
     """
     block = "network" if network.deployed.centre is None else "F"
     statement = statements.instability(of)
-    F = exact_network_matrix(network) if of == "network" else network.centre_loops[1]
     for bits in (_SHORT, _LONG):
         short, direction = shortened_indefinite(X, bits), _shortened_vector(v, bits)
         witness, x = Exact.of(short), Exact.of(direction[:, None])
-        if (x.T @ witness @ x).positive().all() and (F.T @ witness @ F - witness).definite():
+        if of == "network":
+            image = both_sides(network.backwards, witness, network.deployed.n)
+        else:
+            image = network.centre_loops[1].T @ witness @ network.centre_loops[1]
+        if (x.T @ witness @ x).positive().all() and (image - witness).definite():
             held = {"of": of, "method": "lyapunov", "X": symmetric_text(short), "v": matrix_text(direction)}
             return Refuted("schur-stability", statement, held, keys={"block": block})
     reason = "the indefinite Lyapunov matrix that floating point found is none in exact arithmetic"

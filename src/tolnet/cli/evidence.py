@@ -26,7 +26,7 @@ from tolnet.certificates import statements
 from tolnet.certificates.eigenpair import refute_by_eigenpair
 from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.numerals import number_text
-from tolnet.certificates.performance import MOST, exact_dynamics, prove_performance
+from tolnet.certificates.performance import MOST, ExactDynamics, prove_performance
 from tolnet.certificates.stability import Candidate, prove_stability, refute_stability
 from tolnet.certificates.switching import (
     Scenario,
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-_FULL_UP_TO = 400
+_FULL_UP_TO = 800
 """Dimension N n up to which one dense Lyapunov matrix is tried; it is part of the certificate."""
-_GROWTH_UP_TO = 200
+_POWERS_UP_TO = 400
 _POWERS = (2, 4)
 _CLOSE = 1.002
 """A decay rate this much above the spectral radius is tried where nobody names one."""
@@ -97,12 +97,17 @@ class Evidence:
         return block_candidate(self.loops, self.deployed.mixing)
 
     @cached_property
+    def dual(self) -> ndarray | None:
+        """Y with Y - T*(Y) > 0."""
+        return block_candidate(self.loops, self.deployed.mixing, dual=True)
+
+    @cached_property
     def growth(self) -> tuple[Literal["network", "centre"], Growth] | None:
         """What shows that some eigenvalue lies outside the unit circle, where floating point sees one."""
         centre = None if self.centre_loop is None else growth_candidate(self.centre_loop)
         if centre is not None:
             return "centre", centre
-        if self.dimension <= _GROWTH_UP_TO:
+        if self.dimension <= _FULL_UP_TO:
             found = growth_candidate(self.matrix)
         else:
             found = leading_mode(self.loops, self.deployed.mixing)
@@ -120,29 +125,35 @@ class Evidence:
                 tried.append(verdict.reason)
         if self.growth is not None:
             of, growth = self.growth
-            refuted = (
-                refute_by_eigenpair(self.deployed, growth.eigenvalue, growth.mode)
-                if growth.X is None
-                else refute_stability(self.exact, of, growth.X, growth.v)
-            )
-            if isinstance(refuted, Refuted):
-                return refuted
-            tried.append(refuted.reason)
+            for refute in self._refutations(of, growth):
+                refuted = refute()
+                if isinstance(refuted, Refuted):
+                    return refuted
+                tried.append(refuted.reason)
         return self._undecided_stability(tried)
 
     def _candidates(self, centre: ndarray | None) -> Iterator[Candidate]:
         mixing = self.deployed.mixing
         if self.primal is not None:
             yield Candidate("primal", self.primal, centre)
-        if (Y := block_candidate(self.loops, mixing, dual=True)) is not None:
-            yield Candidate("dual", Y, centre)
+        if self.dual is not None:
+            yield Candidate("dual", self.dual, centre)
         if self.dimension > _FULL_UP_TO or not self.radius < 1:
             return
-        for power in _POWERS:
+        for power in _POWERS if self.dimension <= _POWERS_UP_TO else ():
             if (found := power_candidate(self.loops, mixing, power)) is not None:
                 yield Candidate("power", found.X, centre, found.power, found.shares)
         if (X := full_candidate(self.matrix)) is not None:
             yield Candidate("full", X, centre)
+
+    def _refutations(
+        self, of: Literal["network", "centre"], growth: Growth
+    ) -> Iterator[Callable[[], Refuted | Undecided]]:
+        X = growth.X
+        if X is not None:
+            yield lambda: refute_stability(self.exact, of, X, growth.v)
+        if of == "network":
+            yield lambda: refute_by_eigenpair(self.deployed, growth.eigenvalue, growth.mode)
 
     def _undecided_stability(self, tried: Sequence[str]) -> Undecided:
         block = "network" if self.deployed.centre is None else "F"
@@ -207,13 +218,13 @@ class Evidence:
         """MSD of every node, enclosed."""
         from tolnet.analysis.lyapunov_dense import solve_smith
 
-        Q = centre = X = None
+        Q = centre = None
         if self.centre_loop is not None and (self.deployed.N + 1) * self.deployed.n <= MOST:
-            centre, X = full_candidate(self.centre_loop), self.primal
-            if centre is not None and X is not None:
-                F, _, noise = exact_dynamics(self.exact)
-                Q = solve_smith(F.rounded(), noise.rounded()).X
-        return prove_performance(self.exact, Q, X, centre)
+            centre = full_candidate(self.centre_loop.T)
+            if centre is not None and self.dual is not None:
+                F, noise = ExactDynamics(self.exact).rounded()
+                Q = solve_smith(F, noise).X
+        return prove_performance(self.exact, Q, self.dual, centre)
 
     def link_losses(self, most: int, progress: Progress | None = None) -> Verdict:
         """One Y for every loss of at most `most` links."""
