@@ -6,8 +6,8 @@ The checker decides what people rely on, so its tests are tested too. Each mutan
 tree and put in the place of the checker in a forked process, which runs the tests of tests/certificates in turn
 until one fails. What survives is printed; docs/decisions/0012-mutants-of-the-checker.md explains each survivor.
 
-Messages and the command line are left out: the tests of processes watch those. So are limits of time and memory, and
-the guess of a factor: at worst they decline what is true.
+Messages and the command line are left out: the tests of processes watch those. So are limits of time and memory: at
+worst they decline what is true.
 """
 
 from __future__ import annotations
@@ -31,11 +31,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
-SYMMETRIC_IN_LOOKS = {"_congruence", "_norm", "_contains", "full", "zip", "_scaled"}
+SYMMETRIC_IN_LOOKS = {"_congruence", "_contains", "full", "zip", "_scaled"}
 NOT_MUTATED = {
     *("_watched", "unwatched", "_line", "main"),  # what people see, not what is decided
     *("Clock", "_fits"),  # what is declined
-    "_guess",  # whatever it returns is verified
 }
 OPPOSITE: dict[type, tuple[type, ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import random
 from fractions import Fraction
-from operator import mul
 from typing import Any
 
 import numpy as np
@@ -267,13 +266,11 @@ def test_intervals_are_as_narrow_as_the_proof_allows_and_no_narrower(seed: int) 
     Q = symmetric(proof["Q"], size)
     F, noise, _ = Numbers(data, Fraction).whole()
     Z = abs(F @ Q @ F.T + noise - Q)
-    weights = [y for words in proof["Y"] for y in np.diagonal(symmetric(words, n))]
-    errors = []
-    for odd in (0, 1):  # t_i is a power of two, which of the two depends on the exponent that numbers share
-        half = [(math.frexp(float(Q[i, i]))[1] + odd) // 2 for i in range(size)]
-        sums = [sum(Z[i, j] * Fraction(2) ** (half[i] - half[j]) for j in range(size)) for i in range(size)]
-        errors.append(sum(map(mul, weights, sums)) / Fraction(float.fromhex(proof["delta"])))
-    middle, most, least = sum(Q[i, i] for i in range(n)), max(errors), min(errors)
+    y = [math.sqrt(x) for words in proof["Y"] for x in np.diagonal(symmetric(words, n))]
+    error = sum(Z[i, j] * Fraction(y[i] * y[j]) for i in range(size) for j in range(size))
+    error /= Fraction(float.fromhex(proof["delta"]))
+    middle = sum(Q[i, i] for i in range(n))
+    most, least = error * (1 + Fraction(1, 10**9)), error
     wide = [math.nextafter(float(middle - most), -math.inf), math.nextafter(float(middle + most), math.inf)]
     assert result(data, claim | {"nodes": [text(wide), *claim["nodes"][1:]]}) == "valid"
     for narrow in (

@@ -378,9 +378,8 @@ def performance_claim(data: Document) -> Document:
     reached = sum(C.T @ y @ C for C, y in zip(coupling, Y, strict=True))
     room = delta * ((1 - delta) * last - at.Fe.T @ last @ at.Fe)
     Y.append(last * (1.01 + max(0.0, 2 * max(np.linalg.eigvals(np.linalg.solve(room, reached)).real))))
-    t = np.sqrt(np.diag(Q))
-    bound = (Z * t[:, None] / t[None, :]).sum(axis=1)
-    error = 8 * float(np.concatenate([np.diag(y) for y in Y]) @ bound) / delta
+    root = np.sqrt(np.concatenate([np.diag(y) for y in Y]))
+    error = 2 * float(root @ Z @ root) / delta
     traces = [np.trace(Q[k * n : (k + 1) * n, k * n : (k + 1) * n]) for k in range(N + 1)]
     intervals = [(trace - error, trace + error) for trace in traces]
     low, high = (float(x) for x in np.mean(intervals[:N], axis=0))

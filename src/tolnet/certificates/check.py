@@ -3,9 +3,9 @@
     python check.py certificate.json
 
 Every number of a proof is a double, m 2^e, and every condition is a sum of products of such numbers that must be
-positive or positive definite: whole numbers decide it. Floating point occurs once, as a guess that is then verified
-(`_guess`). Nothing is shared with the program that wrote the certificate, nothing that is read is ever executed, and
-whatever is not shown is `invalid`: a checker may decline what is true, it must never accept what is not.
+positive or positive definite: whole numbers decide it, and no floating point. Nothing is shared with the program that
+wrote the certificate, nothing that is read is ever executed, and whatever is not shown is `invalid`: a checker may
+decline what is true, it must never accept what is not.
 
 Read in this order: exact matrices, definiteness, the deployment, the claims (a function each, which returns the only
 sentence that it has shown), reading, the command.
@@ -23,7 +23,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import accumulate, combinations, pairwise
 from operator import mul
 from time import process_time
@@ -236,15 +236,16 @@ class Deployment:
         self.weights = self.read_weights(data["weights"], "data.weights")
         self.gains = self.read_gains(data["gains"], "data.gains")
         self.pull = {k: _pull(row) for k, row in self.weights.items()}
-        self.loop = cache(lambda k: self.closed_loop(k, self.gains[k]))
-        self.seen = lru_cache(2**12)(lambda k, l: self.parts(k, self.gains[k])[l].by(self.C[l]))  # G_{k,l} C_l
-        self.stated = None  # the centre's gains, and a factor of T
+        self.loop = cache(lambda k: self.closed_loop(self.gains[k]))
+        self.stated = None  # the centre's gains by sensor, and a factor of T
         if data["centre"] is not None:
             centre = _object(data["centre"], "data.centre", "gain", "tilt", "columns")
             texts = zip(_list(centre["gain"], nodes, "data.centre.gain"), self.p, strict=True)
-            columns = _whole(centre, "data.centre.columns", 0)
-            G = [_matrix(text, n, p, "data.centre.gain") for text, p in texts]
-            self.stated = G, _matrix(centre["tilt"], n, columns, "data.centre.tilt")
+            gains = {l: _matrix(text, n, p, "data.centre.gain") for l, (text, p) in enumerate(texts)}
+            self.stated = (
+                gains,
+                _matrix(centre["tilt"], n, _whole(centre, "data.centre.columns", 0), "data.centre.tilt"),
+            )
 
     def read_weights(self, thing: Any, where: str) -> dict[int, dict[int, Fraction]]:
         """A text per node, for whom it hears in rising order."""
@@ -254,24 +255,25 @@ class Deployment:
             found[k] = {l: Fraction(w) for l, w in values if w}
         return found
 
-    def read_gains(self, thing: Any, where: str) -> list[Matrix]:
-        """G_k of every node."""
-        widths = (sum(self.p[l] for l in heard) for heard in self.neighbours)
-        given = enumerate(zip(_list(thing, len(self), where), widths, strict=True))
-        return [_matrix(text, self.n, width, f"{where}[{k}]") for k, (text, width) in given]
+    def read_gains(self, thing: Any, where: str) -> list[dict[int, Matrix]]:
+        """G_{k,l}, the columns of G_k for sensor l, by l, for every node."""
+        found = []
+        for k, (heard, text) in enumerate(zip(self.neighbours, _list(thing, len(self), where), strict=True)):
+            ends = [*accumulate((self.p[l] for l in heard), initial=0)]
+            G, parts = _matrix(text, self.n, ends[-1], f"{where}[{k}]"), zip(heard, pairwise(ends), strict=True)
+            found.append({l: Matrix([row[i:j] for row in G.rows], G.exponent) for l, (i, j) in parts})
+        return found
 
     def __len__(self) -> int:
         return len(self.neighbours)
 
-    def parts(self, k: int, G: Matrix) -> dict[int, Matrix]:
-        """G_{k,l}, the columns of G_k for sensor l, by l."""
-        ends = pairwise(accumulate((self.p[l] for l in self.neighbours[k]), initial=0))
-        given = zip(self.neighbours[k], ends, strict=True)
-        return {l: Matrix([row[first:stop] for row in G.rows], G.exponent) for l, (first, stop) in given}
-
-    def closed_loop(self, k: int, G: Matrix) -> Matrix:
+    def closed_loop(self, G: dict[int, Matrix]) -> Matrix:
         """M_k = A - G_k C_k^loc."""
-        return _sum([(1, self.A), *((-1, part.by(self.C[l])) for l, part in self.parts(k, G).items())])
+        return _sum([(1, self.A), *((-1, part.by(self.C[l])) for l, part in G.items())])
+
+    def cross(self, G: dict[int, Matrix], H: dict[int, Matrix]) -> Matrix:
+        """Q + sum_l G_l R_l H_l'."""
+        return _sum([(1, self.Q), *((1, part.by(self.R[l]).by(H[l])) for l, part in G.items())])
 
     @cached_property
     def block(self) -> Matrix:
@@ -282,15 +284,13 @@ class Deployment:
         return _assemble(blocks, size, size)
 
     @cached_property
-    def centre(self) -> tuple[list[Matrix], Matrix, Matrix, Matrix]:
-        """The centre's gains G_l, a factor of T, T F_0 with F_0 = A - G C, and F_e = F_0 + (Q + G R G') T F_0."""
+    def centre(self) -> tuple[dict[int, Matrix], Matrix, Matrix, Matrix]:
+        """The centre's gains G_l, T, T F_0 with F_0 = A - G C, and F_e = F_0 + (Q + G R G') T F_0."""
         if self.stated is None:
             raise Wrong("the claim needs data.centre")
-        gains, tilt = self.stated
-        noise = _sum([(1, self.Q), *((1, G.by(R).by(G)) for G, R in zip(gains, self.R, strict=True))])
-        loop = _sum([(1, self.A), *((-1, G.by(C)) for G, C in zip(gains, self.C, strict=True))])
-        T = tilt.by(tilt)
-        return gains, T, T @ loop, loop + noise @ T @ loop
+        G, tilt = self.stated
+        loop, T = self.closed_loop(G), tilt.by(tilt)
+        return G, T, T @ loop, loop + self.cross(G, G) @ T @ loop
 
 
 # -------------------- Stability; s stands for (1 - delta) r^2 -------------------------------------------------
@@ -424,7 +424,7 @@ def _without(at: Deployment, links: Iterable[Sequence[int]], where: str) -> tupl
             row = weights.setdefault(hearer, dict(at.weights[hearer]))
             _require(min(row.values(), default=0) >= 0, f"{where}: node {hearer} has a negative weight")
             row[hearer] = row.get(hearer, Fraction(0)) + row.pop(j, Fraction(0))
-            loops[hearer] = loops.get(hearer, at.loop(hearer)) + at.seen(hearer, j)
+            loops[hearer] = loops.get(hearer, at.loop(hearer)) + at.gains[hearer][j].by(at.C[j])
     pull = {k: _pull(row) for k, row in weights.items()}
     return ChainMap(pull, at.pull), lambda k: loops[k] if k in loops else at.loop(k)
 
@@ -442,7 +442,7 @@ def _changed(at: Deployment, scenario: Any, where: str) -> tuple[Weights, Loop, 
     weights = at.read_weights(given["weights"], f"{where}.weights") if "weights" in given else None
     pull = at.pull if weights is None else {k: _pull(row) for k, row in weights.items()}
     gains = at.read_gains(given["gains"], f"{where}.gains") if "gains" in given else None
-    loop = at.loop if gains is None else cache(lambda k: at.closed_loop(k, gains[k]))
+    loop = at.loop if gains is None else cache(lambda k: at.closed_loop(gains[k]))
     return pull, loop, at.watch(where, len(at) if given else 0)
 
 
@@ -452,7 +452,8 @@ def _changed(at: Deployment, scenario: Any, where: str) -> tuple[Weights, Loop, 
 def performance(claim: dict[str, Any], at: Deployment) -> str:
     """Every tr Q_kk of the solution of Q = F Q F' + G G' is within tr(Y D) / delta of the stated one.
 
-    D = diag(sum_j |Z_ij| t_j / t_i) is above +-Z, the residual, for any t > 0; Y_k > I, Y - F' Y F > delta Y.
+    Y_k > I, Y - F' Y F > delta Y, and D = diag(sum_j |Z_ij| y_j / y_i) is above +-Z, the residual, for any y > 0. With
+    y_i^2 just above Y_ii, tr(Y D) is at most sum_ij |Z_ij| y_i y_j.
     """
     n, N = at.n, len(at)
     proof, size = _object(claim["proof"], "proof", "Q", "Y", "delta"), (N + 1) * n
@@ -465,10 +466,9 @@ def performance(claim: dict[str, Any], at: Deployment) -> str:
     for k, Y_k in enumerate(Y):
         _require_definite(Y_k - _unit(n), f"Y[{k}] - I")
 
-    gains, T, tilted, centre_block = at.centre
-    parts = [*(at.parts(k, at.gains[k]) for k in range(N)), dict(enumerate(gains))]  # the centre is the last filter
-    E = [_sum([(1, at.Q), *((1, G.by(at.R[l]).by(gains[l])) for l, G in each.items())]) for each in parts]
-    mixing = {**at.weights, N: {N: Fraction(1)}}
+    centre, T, tilted, centre_block = at.centre
+    gains, mixing = [*at.gains, centre], {**at.weights, N: {N: Fraction(1)}}  # the centre is the last filter
+    E = [at.cross(G, centre) for G in gains]
     # F, whose blocks (k, N) are sum_l w_lk E_l T F_0, and below them F_e
     last = [_sum(((w, E[l] @ tilted) for l, w in at.weights[k].items()), n) for k in range(N)] + [centre_block]
     F = _assemble([(0, 0, at.block), *((k * n, N * n, P) for k, P in enumerate(last))], size, size)
@@ -481,10 +481,13 @@ def performance(claim: dict[str, Any], at: Deployment) -> str:
     width = starts[-1] + n
     S = _assemble([(i, i, P) for i, P in zip(starts, [at.Q, *at.R, T], strict=True)], width, width)
     driving = [(k * n, 0, _unit(n)) for k in range(N + 1)] + [(k * n, starts[-1], P) for k, P in enumerate(E)]
-    driving += [(k * n, starts[l + 1], P) for k, each in enumerate(parts) for l, P in each.items()]
+    driving += [(k * n, starts[l + 1], P) for k, parts in enumerate(gains) for l, P in parts.items()]
     weights = [(k * n, l * n, w * _unit(n)) for k, row in mixing.items() for l, w in row.items()]
     G = _assemble(weights, size, size) @ _assemble(driving, size, width)
-    error = _weighed(_congruence(F, Q) + _congruence(G, S) - Q, Q, Y) / delta
+    Z = _congruence(F, Q) + _congruence(G, S) - Q
+    y = [math.isqrt(math.floor(2**80 * _trace(Y_k, range(i, i + 1)))) + 1 for Y_k in Y for i in range(n)]
+    total = sum(y_i * sum(map(mul, map(abs, row), y)) for y_i, row in zip(y, Z.rows, strict=True))
+    error = _scaled(total, Z.exponent - 80) / delta
     for k, interval in enumerate([*_list(claim["nodes"], N, "nodes"), claim["centre"]]):
         own = range(k * n, (k + 1) * n)
         _contains(interval, _trace(Q, own), error, f"nodes[{k}]" if k < N else "centre")
@@ -493,18 +496,6 @@ def performance(claim: dict[str, Any], at: Deployment) -> str:
         "Under the stated least favourable model the mean square deviation of the network lies in "
         f"[{low!r}, {high!r}], and that of every node in its interval."
     )
-
-
-def _weighed(Z: Matrix, Q: Matrix, Y: list[Matrix]) -> Fraction:
-    """tr(Y D), with t_i a power of two near Q_ii^-1/2."""
-    half = [abs(row[i]).bit_length() // 2 for i, row in enumerate(Q.rows)]
-    top = max(half)
-    sums = (
-        sum(abs(z) << (top + h - half[j]) for j, z in enumerate(row) if z)
-        for h, row in zip(half, Z.rows, strict=True)
-    )
-    weights = (_trace(P, range(i, i + 1)) for P in Y for i in range(len(P.rows)))
-    return sum(map(mul, sums, weights), Fraction(0)) * _scaled(1, Z.exponent - top)
 
 
 def _contains(interval: Any, middle: Fraction, error: Fraction, where: str) -> list[float]:
@@ -533,9 +524,8 @@ class Channels:
         self.tau, self.phi = ([_numbers(x, nodes, f"data.{key}") for x in data[key]] for key in ("tau", "phi"))
         self.C = [[_sensor(text, n, "data.C") for text in _list(texts, nodes, "data.C")] for texts in data["C"]]
         p = [len(C.rows[0]) for C in self.C[0]]
-        _require(
-            all([len(C.rows[0]) for C in at] == p for at in self.C), "data.C: a sensor changes its number of outputs"
-        )
+        constant = all([len(C.rows[0]) for C in at] == p for at in self.C)
+        _require(constant, "data.C: a sensor changes its number of outputs")
         given = [zip(_list(texts, nodes, "data.R"), p, strict=True) for texts in data["R"]]
         self.R = [[_matrix(text, p_i, p_i, "data.R") for text, p_i in pairs] for pairs in given]
         self.start = _symmetric(data["initial_second_moment"], n, "data.initial_second_moment")
@@ -543,8 +533,7 @@ class Channels:
         R = [R for at in self.R for R in at]
         _require(all(S.rows == S.T.rows for S in [*self.Q, *R]), "data: a covariance is not symmetric")
         _require(all(map(is_positive_definite, R)), "data.R: expected positive definite matrices")
-        for S in [*self.Q, self.start]:
-            _require(is_semidefinite(S), "data: a second moment is not semidefinite")
+        _require(all(map(is_semidefinite, [*self.Q, self.start])), "data: a second moment is not semidefinite")
 
     def step(self, k: int, X: Matrix) -> Matrix:
         """A X A' + mu F X F' + Q at instant k."""
@@ -657,10 +646,9 @@ EVIDENCE = {"proved": "proof", "refuted": "witness"}
 def examine(claim: Any, at: Deployment | Channels) -> Finding:
     """What is to be said of one claim."""
     given = claim if isinstance(claim, dict) else {}
-    texts = map(given.get, ("claim", "verdict", "statement", "reason"))
-    name, verdict, statement, reason = (text[:300] if isinstance(text, str) else "" for text in texts)
-    node = given.get("node")
-    node = node[:300] if isinstance(node, str) else node if type(node) is int else None
+    texts = map(given.get, ("claim", "verdict", "statement", "reason", "node"))
+    name, verdict, statement, reason, who = (text[:300] if isinstance(text, str) else "" for text in texts)
+    node = given["node"] if type(given.get("node")) is int else who or None
     try:
         result, reason = ("undecided", reason) if verdict == "undecided" else _judge(given, name, verdict, at)
     except Wrong as wrong:

@@ -1,12 +1,13 @@
 """Mean square deviations, enclosed exactly from a solution of the Lyapunov equation (docs/certificate.md).
 
-1.  Z = F Q F' + G G' - Q exactly, and +-Z <= D = diag(sum_j |Z_ij| t_j / t_i) for any t > 0
+1.  Z = F Q F' + G G' - Q exactly, and +-Z <= D = diag(sum_j |Z_ij| y_j / y_i) for any y > 0
 2.  Y_k > I and Y - F' Y F > d Y for Y = diag(Y_k), block by block, with a share d of the room for the coupling
-3.  so |tr (Q - Q*)_kk| <= tr Y (sum of F^t D F'^t) <= tr(Y D) / d
+3.  so |tr (Q - Q*)_kk| <= tr Y (sum of F^t D F'^t) <= tr(Y D) / d, least for y_i^2 = Y_ii: sum_ij |Z_ij| y_i y_j / d
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
@@ -24,8 +25,9 @@ from tolnet.certificates.stability import has_positive_diagonal, largest_ratio
 from tolnet.certificates.verdicts import Proved, Undecided
 
 _BITS = 30
-_SLACK = 4
-"""A checker's t may differ from ours by a factor of two in every entry."""
+_FINE = 2**20
+"""y_i is a multiple of 1 / _FINE here, and may be any number a little above the root of Y_ii for a checker."""
+_SLACK = 1 + Fraction(1, 2**16)
 MOST = 1500
 """Dimension (N + 1) n up to which the whole covariance is judged; it is part of the certificate."""
 CLAIM = "performance"
@@ -88,15 +90,10 @@ class _Enclosure:
             self.holds = True
 
     def _error(self, residual: Exact) -> Fraction:
-        """tr(Y D) / delta, with t_i a power of two near Q_ii^-1/2, and room for other such t."""
-        half = np.round(np.log2(np.maximum(np.diagonal(self.Q), 1e-300)) / 2).astype(int)
-        lift = half.max() - half
-        sums = (residual.ints << lift[None, :].astype(object)).sum(axis=1)
-        weights = np.diagonal(self.Y, axis1=1, axis2=2).ravel()
-        total = sum(
-            (Fraction(y) * Fraction(s, 2 ** int(up)) for y, s, up in zip(weights, sums, lift, strict=True)),
-            Fraction(),
-        )
+        """sum_ij |Z_ij| y_i y_j / delta, and a little more."""
+        y = [math.isqrt(math.ceil(Fraction(x) * _FINE**2)) + 1 for x in np.diagonal(self.Y, axis1=1, axis2=2).flat]
+        weights = np.array(y, dtype=object)
+        total = Fraction(int(weights @ (residual.ints @ weights)), _FINE**2)
         return _SLACK * total * Fraction(2) ** residual.exponent / Fraction(self.delta)
 
     def intervals(self) -> list[tuple[float, float]]:

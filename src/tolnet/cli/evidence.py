@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int], None]
 
-_FULL_UP_TO = 800
+_FULL_UP_TO = 1500
 """Dimension N n up to which one dense Lyapunov matrix is tried; it is part of the certificate."""
 _POWERS_UP_TO = 400
 _POWERS = (2, 4)
