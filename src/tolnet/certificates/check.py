@@ -452,8 +452,8 @@ def _changed(at: Deployment, scenario: Any, where: str) -> tuple[Weights, Loop, 
 def performance(claim: dict[str, Any], at: Deployment) -> str:
     """Every tr Q_kk of the solution of Q = F Q F' + G G' is within tr(Y D) / delta of the stated one.
 
-    Y_k > I, Y - F' Y F > delta Y, and D = diag(sum_j |Z_ij| y_j / y_i) is above +-Z, the residual, for any y > 0. With
-    y_i^2 just above Y_ii, tr(Y D) is at most sum_ij |Z_ij| y_i y_j.
+    Y_k > I, Y - F' Y F > delta Y, and D = diag(sum_j |Z_ij| y_j / y_i) is above +-Z, the residual, for any y > 0.
+    With y_i^2 just above Y_ii, tr(Y D) is at most sum_ij |Z_ij| y_i y_j.
     """
     n, N = at.n, len(at)
     proof, size = _object(claim["proof"], "proof", "Q", "Y", "delta"), (N + 1) * n

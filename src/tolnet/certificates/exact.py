@@ -99,7 +99,7 @@ class Exact:
             left = np.flatnonzero(~good)
             if not left.size:
                 break
-            good[left] = _has_factor(flat[left], bits)
+            good[left] = _have_factors(flat[left], bits)
         return good.reshape(self.ints.shape[:-2])
 
 
@@ -119,7 +119,7 @@ def _trailing_zeros(whole: ndarray) -> ndarray:
     return np.where(whole != 0, np.frexp(lowest.astype(float))[1] - 1, 0)
 
 
-def _has_factor(D: ndarray, bits: int) -> Bool[ndarray, " K"]:
+def _have_factors(D: ndarray, bits: int) -> Bool[ndarray, " K"]:
     """Which D are shown to be positive definite by Cholesky's method in whole numbers (docs/decisions/0010).
 
     S D S = L L' + d 2^bits I + E for a diagonal S of powers of two that brings the diagonal below 4^bits, and L
@@ -128,30 +128,34 @@ def _has_factor(D: ndarray, bits: int) -> Bool[ndarray, " K"]:
     """
     d = D.shape[-1]
     diagonal = np.diagonal(D, axis1=1, axis2=2)
-    good = np.asarray(diagonal > 0, dtype=bool).all(axis=1)
-    at = np.flatnonzero(good)
+    at = np.flatnonzero(_everywhere(diagonal > 0))
     lift = bits - (_bit_length(diagonal[at]) + 1) // 2
     T = _shifted(D[at], lift[:, :, None] + lift[:, None, :])
     if bits <= _MACHINE_BITS:
-        clear = np.asarray(abs(T) < 4**bits, dtype=bool).all(axis=(1, 2))
+        clear = _everywhere(abs(T) < 4**bits)
         at, T = at[clear], T[clear].astype(np.int64)
     L = np.zeros_like(T)
     rest = np.diagonal(T, axis1=1, axis2=2) - (d << bits)
-    keep = np.asarray(rest > 0, dtype=bool).all(axis=1)
+    keep = _everywhere(rest > 0)
     for j in range(d):
         if not keep.all():
             at, T, L, rest = at[keep], T[keep], L[keep], rest[keep]
         root = _root(rest[:, j])
         below = slice(j + 1, d)
         column = (T[:, below, j] - (L[:, below, :j] @ L[:, j, :j, None])[:, :, 0]) // root[:, None]
-        keep = np.asarray(abs(column) < 2 << bits, dtype=bool).all(axis=1)
+        keep = _everywhere(abs(column) < 2 << bits)
         column = np.where(keep[:, None], column, 0)
         rest[:, below] -= column * column
-        keep &= np.asarray(rest[:, below] > 0, dtype=bool).all(axis=1)
+        keep &= _everywhere(rest[:, below] > 0)
         L[:, j, j], L[:, below, j] = root, column
-    good[:] = False
+    good = np.zeros(len(D), dtype=bool)
     good[at[keep]] = True
     return good
+
+
+def _everywhere(x: ndarray) -> ndarray:
+    """Which members of the first axis are true throughout."""
+    return np.asarray(np.all(x, axis=tuple(range(1, x.ndim))), dtype=bool)
 
 
 def _shifted(D: ndarray, by: ndarray) -> ndarray:

@@ -42,8 +42,34 @@ class ExactNetwork:
         assert centre is not None
         G, Y = Exact.of(centre.gain).T, Exact.of(centre.tilt)
         F0 = Exact.of(network.A) - G @ Exact.of(network.C)
-        noise = process_covariance(deployed) + gain_covariance(deployed, centre.gain, centre.gain)
+        noise = process_covariance(deployed) + G @ times_sensor_noise(deployed, centre.gain)
         return F0, F0 + noise @ (Y @ (Y.T @ F0))
+
+    @cached_property
+    def shared_noise(self) -> Exact:
+        """E_k = Q + G_k R G' for every filter, the centre's last, (N + 1, n, n). Assumes that a centre is stated."""
+        deployed = self.deployed
+        centre = deployed.centre
+        assert centre is not None
+        N, n, M = deployed.N, deployed.n, len(centre.gain)
+        gains, sensors = np.concatenate([deployed.gains, centre.gain]), np.append(deployed.sensor_rows, np.arange(M))
+        noise = times_sensor_noise(deployed, centre.gain)[sensors]
+        ends = deployed.columns[deployed.offsets]
+        each = segment_sums(Exact.of(gains).reshape(-1, n, 1) * noise.reshape(-1, 1, n), np.append(ends, ends[N] + M))
+        return process_covariance(deployed) + each
+
+    @cached_property
+    def couplings(self) -> Exact:
+        """E_k T F_0 for every filter, the centre's last, (N + 1, n, n). Assumes that a centre is stated."""
+        centre = self.deployed.centre
+        assert centre is not None
+        Y = Exact.of(centre.tilt)
+        return self.shared_noise @ (Y @ (Y.T @ self.centre_loops[0]))
+
+    @cached_property
+    def coupling_blocks(self) -> Exact:
+        """C_k = sum_l w_lk E_l T F_0, (N, n, n). Assumes that a centre is stated."""
+        return self.mixed(self.couplings[: self.deployed.N])
 
     def heard(self, values: Exact, nodes: slice) -> Exact:
         """sum_l |w_lk| values_l for the nodes k of a range."""
@@ -114,22 +140,23 @@ def process_covariance(deployed: Deployed) -> Exact:
     return B @ B.T
 
 
-def gain_covariance(deployed: Deployed, left: Float[ndarray, "M n"], right: Float[ndarray, "M n"]) -> Exact:
-    """sum_l G_l R_l H_l' over all sensors, for two gains whose columns are the rows of `left` and `right`."""
+def times_sensor_noise(deployed: Deployed, X: Float[ndarray, "M m"]) -> Exact:
+    """R X for the covariance R of all sensors together, block diagonal; D D' exactly where the problem gave D."""
     network = deployed.network
-    total = Exact.of(np.zeros((network.n, network.n)))
+    factors = network.factors
+    parts: list[tuple[ndarray, Exact]] = []
     for nodes, _, R in network.sensors.groups():
-        p = R.shape[1]
-        rows = network.rows[nodes, None] + np.arange(p)
-        factors = network.factors
+        rows = network.rows[nodes, None] + np.arange(R.shape[1])
         by_factor = np.zeros(len(nodes), dtype=bool) if factors is None else factors.filled[nodes]
-        G, H = Exact.of(left[rows]).T, Exact.of(right[rows])
-        given = Exact.of(R[~by_factor])
-        total = total + (G[~by_factor] @ given @ H[~by_factor]).sum(0)
+        parts.append((rows[~by_factor], Exact.of(R[~by_factor]) @ Exact.of(X[rows[~by_factor]])))
         if factors is not None and by_factor.any():
             D = Exact.of(np.stack([factors.block(k) for k in nodes[by_factor].tolist()]))
-            total = total + (G[by_factor] @ (D @ D.T) @ H[by_factor]).sum(0)
-    return total
+            parts.append((rows[by_factor], D @ (D.T @ Exact.of(X[rows[by_factor]]))))
+    low = min((product.exponent for _, product in parts), default=0)
+    found = np.zeros(X.shape, dtype=object)
+    for rows, product in parts:
+        found[rows] = product.ints << (product.exponent - low)
+    return Exact(found, low)
 
 
 def exact_power(network: ExactNetwork, j: int) -> list[tuple[Int[ndarray, " m"], Exact]]:

@@ -14,13 +14,27 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact
-from tolnet.certificates.exact_network import ExactNetwork, both_sides, process_covariance, weighted_rows
-from tolnet.certificates.numerals import matrix_text, number_text, shortened, symmetric_text
+from tolnet.certificates.exact_network import (
+    ExactNetwork,
+    both_sides,
+    process_covariance,
+    times_sensor_noise,
+    weighted_rows,
+)
+from tolnet.certificates.numerals import (
+    matrix_text,
+    number_text,
+    shortened,
+    symmetric_matrix,
+    symmetric_text,
+    vector,
+)
+from tolnet.certificates.propagation import ROOM, count_entries, follow_noise
 from tolnet.certificates.stability import has_positive_diagonal, largest_ratio
 from tolnet.certificates.verdicts import Proved, Undecided
 
@@ -28,6 +42,9 @@ _BITS = 30
 _FINE = 2**20
 """y_i is a multiple of 1 / _FINE here, and may be any number a little above the root of Y_ii for a checker."""
 _SLACK = 1 + Fraction(1, 2**16)
+_AGAIN = 3
+"""Whoever follows the noise again rounds in another order: both are off by at most the error."""
+_KEYS = {"claim", "verdict", "statement", "margin", "reason", "nodes", "centre", "network", "proof"}
 MOST = 1500
 """Dimension (N + 1) n up to which the whole covariance is judged; it is part of the certificate."""
 CLAIM = "performance"
@@ -39,82 +56,107 @@ def prove_performance(
     Y: Float[ndarray, "N n n"] | None,
     centre: Float[ndarray, "n n"] | None,
 ) -> Proved | Undecided:
-    """Enclose MSD_k = tr Q_kk of Q = F Q F' + G G', (N + 1) n square, for every node, from an approximate solution.
+    """Enclose MSD_k = tr Q_kk of Q = F Q F' + G G', (N + 1) n square, for every node.
 
+    Q is an approximate solution; above MOST rows it is not asked for, and the noise is followed step by step.
     Y with Y - T*(Y) > 0 for the network block and `centre` with Y - F_e' Y F_e > 0 are the dual candidates.
     Source: docs/certificate.md, `performance`; docs/mathematics.md, section 11.
     """
     deployed = network.deployed
-    d = (deployed.N + 1) * deployed.n
-    if d > MOST:
-        reason = f"the whole covariance would be {d} x {d}; up to {MOST} it is judged"
-    elif deployed.centre is None:
-        reason = "there is no least favourable model"
-    elif Q is None or Y is None or centre is None or not all(map(has_positive_diagonal, (Q, Y, centre))):
-        reason = "there is no solution of the Lyapunov equation, or no block-wise proof of stability, to start from"
+    small = (deployed.N + 1) * deployed.n <= MOST
+    if deployed.centre is None:
+        return _undecided("there is no least favourable model")
+    if not small and count_entries(deployed) > ROOM:
+        return _undecided(f"there are {deployed.N} nodes; the noise of so many is not followed to the end")
+    if (Q is None and small) or Y is None or centre is None or not all(map(has_positive_diagonal, (Y, centre))):
+        return _undecided(
+            "there is no solution of the Lyapunov equation, or no block-wise proof of stability, to start from"
+        )
+    plan = _plan(Y, centre, network)
+    if plan is None or not contracts(network, *plan):
+        return _undecided("the block-wise contraction with the coupling to the least favourable model is not proved")
+    delta, matrices = plan
+    proof: dict[str, Any] = {"Q": None, "Y": [symmetric_text(P) for P in matrices], "delta": number_text(delta)}
+    if not small:
+        found = follow_noise(network, matrices, delta)
+        if found is None:
+            return _undecided("the noise of the network was not followed to the end")
+        traces, error = [Fraction(x) for x in found.traces.tolist()], _AGAIN * Fraction(found.error)
     else:
-        found = _Enclosure(network, (Q + Q.T) / 2, Y, centre)
-        if found.holds:
-            return found.verdict()
-        reason = "the block-wise contraction with the coupling to the least favourable model is not proved"
+        assert Q is not None
+        Q = (Q + Q.T) / 2
+        if not has_positive_diagonal(Q):
+            return _undecided("there is no solution of the Lyapunov equation")
+        proof["Q"] = symmetric_text(Q)
+        diagonal, n = [Fraction(x) for x in np.diagonal(Q).tolist()], deployed.n
+        traces = [sum(diagonal[k : k + n], Fraction()) for k in range(0, len(diagonal), n)]
+        error = _error(abs(ExactDynamics(network).residual(Q)), matrices) / Fraction(delta)
+    *nodes, last, mean = _intervals(traces, error)
+    keys = {"nodes": [matrix_text(np.array(pair)) for pair in nodes], "centre": matrix_text(np.array(last))}
+    keys["network"] = matrix_text(np.array(mean))
+    return Proved(CLAIM, statements.performance(*mean), proof, keys=keys)
+
+
+def verify_performance(network: ExactNetwork, claim: dict[str, Any]) -> str | None:
+    """Why a `performance` without Q is not shown by following the noise once more; None where it is.
+
+    Raises KeyError, ValueError, TypeError or AttributeError where the claim is malformed.
+    """
+    deployed = network.deployed
+    if claim.keys() != _KEYS or claim["proof"].keys() != {"Q", "Y", "delta"}:
+        return "its keys are not those of such a claim"
+    if claim["margin"] is not None or claim["reason"] is not None:
+        return "margin and reason: expected null"
+    delta, N, n = float.fromhex(claim["proof"]["delta"]), deployed.N, deployed.n
+    Y = np.array([symmetric_matrix(text) for text in claim["proof"]["Y"]])
+    intervals = np.array([vector(text) for text in [*claim["nodes"], claim["centre"], claim["network"]]])
+    if Y.shape != (N + 1, n, n) or intervals.shape != (N + 2, 2) or not 0 < delta < 1:
+        return "its matrices or its intervals are not those of such a network"
+    if claim["statement"] != statements.performance(*intervals[-1].tolist()):
+        return "the statement is not the one that the claim proves"
+    if deployed.centre is None or count_entries(deployed) > ROOM:
+        return "there is no least favourable model, or the network is too large"
+    if not contracts(network, delta, Y):
+        return "the contraction is not shown"
+    found = follow_noise(network, Y, delta)
+    if found is None:
+        return "the noise was not followed to the end"
+    traces, error = [Fraction(x) for x in found.traces.tolist()], Fraction(found.error)
+    for (low, high), (least, most) in zip(intervals.tolist(), _intervals(traces, error), strict=True):
+        if not low <= least <= most <= high:
+            return "the proof does not reach an interval"
+    return None
+
+
+def _undecided(reason: str) -> Undecided:
     return Undecided(CLAIM, "The mean square deviation of every node lies in an interval.", reason)
 
 
-class _Enclosure:
-    """Q, and how far it can be from the solution."""
+def contracts(network: ExactNetwork, delta: float, Y: Float[ndarray, "K n n"]) -> bool:
+    """Whether Y > I and (11.4) are shown, so that Y - F' Y F > delta Y; exactly, the centre's Y last."""
+    M, Fe, coupling, stack = network.loops, network.centre_loops[1], network.coupling_blocks, Exact.of(Y)
+    N = network.deployed.N
+    part, kept = Exact.of(delta), Exact.of(1.0) - Exact.of(delta)
+    own = M.T @ network.spread(stack[:N], slice(0, N)) @ M
+    reached = (coupling.T @ stack[:N] @ coupling).sum(0)
+    last = part * (kept * stack[N] - Fe.T @ stack[N] @ Fe) - reached
+    conditions = (stack - Exact.of(np.eye(Y.shape[1])), kept * kept * stack[:N] - own, last)
+    return all(bool(condition.definite().all()) for condition in conditions)
 
-    def __init__(
-        self,
-        network: ExactNetwork,
-        Q: Float[ndarray, "d d"],
-        Y: Float[ndarray, "N n n"],
-        centre: Float[ndarray, "n n"],
-    ) -> None:
-        self.N, self.n = network.deployed.N, network.deployed.n
-        self.Q, self.holds = Q, False
-        dynamics = ExactDynamics(network)
-        M, Fe, coupling = network.loops, network.centre_loops[1], dynamics.coupling
-        plan = _plan(Y, centre, network, coupling.rounded(), Fe.rounded())
-        if plan is None:
-            return
-        self.delta, self.Y = plan
-        stack, delta, kept = Exact.of(self.Y), Exact.of(self.delta), Exact.of(1.0) - Exact.of(self.delta)
-        # divided by nothing: (1 - d)^2 Y_l - M_l' (...) M_l, and d (1 - d) Y_N - d F_e' Y_N F_e - sum_k C_k' Y_k C_k
-        own = M.T @ network.spread(stack[: self.N], slice(0, self.N)) @ M
-        reached = (coupling.T @ stack[: self.N] @ coupling).sum(0)
-        good = (stack - Exact.of(np.eye(self.n))).definite().all()
-        good = good and (kept * kept * stack[: self.N] - own).definite().all()
-        last = delta * (kept * stack[self.N] - Fe.T @ stack[self.N] @ Fe) - reached
-        if good and last.definite():
-            self.error = self._error(abs(dynamics.residual(Q)))
-            self.holds = True
 
-    def _error(self, residual: Exact) -> Fraction:
-        """sum_ij |Z_ij| y_i y_j / delta, and a little more."""
-        y = [math.isqrt(math.ceil(Fraction(x) * _FINE**2)) + 1 for x in np.diagonal(self.Y, axis1=1, axis2=2).flat]
-        weights = np.array(y, dtype=object)
-        total = Fraction(int(weights @ (residual.ints @ weights)), _FINE**2)
-        return _SLACK * total * Fraction(2) ** residual.exponent / Fraction(self.delta)
+def _error(residual: Exact, Y: Float[ndarray, "K n n"]) -> Fraction:
+    """sum_ij |Z_ij| y_i y_j, and a little more."""
+    y = [math.isqrt(math.ceil(Fraction(x) * _FINE**2)) + 1 for x in np.diagonal(Y, axis1=1, axis2=2).flat]
+    weights = np.array(y, dtype=object)
+    total = Fraction(int(weights @ (residual.ints @ weights)), _FINE**2)
+    return _SLACK * total * Fraction(2) ** residual.exponent
 
-    def intervals(self) -> list[tuple[float, float]]:
-        """One for each node, then the centre's, then that of the mean over the nodes."""
-        diagonal = [Fraction(x) for x in np.diagonal(self.Q).tolist()]
-        traces = [sum(diagonal[k * self.n : (k + 1) * self.n], Fraction()) for k in range(self.N + 1)]
-        bounds = [(trace, self.error) for trace in traces]
-        bounds.append((sum(traces[:-1], Fraction()) / self.N, self.error / self.N))
-        return [(_down(trace - error), _up(trace + error)) for trace, error in bounds]
 
-    def verdict(self) -> Proved:
-        intervals = self.intervals()
-        *nodes, centre, mean = (matrix_text(np.array(interval)) for interval in intervals)
-        low, high = intervals[-1]
-        proof: dict[str, Any] = {
-            "Q": symmetric_text(self.Q),
-            "Y": [symmetric_text(Y) for Y in self.Y],
-            "delta": number_text(self.delta),
-        }
-        statement = statements.performance(low, high)
-        return Proved(CLAIM, statement, proof, keys={"nodes": nodes, "centre": centre, "network": mean})
+def _intervals(traces: Sequence[Fraction], error: Fraction) -> list[tuple[float, float]]:
+    """One for each node, then the centre's, then that of the mean over the nodes."""
+    N = len(traces) - 1
+    bounds = [*((trace, error) for trace in traces), (sum(traces[:-1], Fraction()) / N, error / N)]
+    return [(_down(trace - wide), _up(trace + wide)) for trace, wide in bounds]
 
 
 class ExactDynamics:
@@ -124,44 +166,25 @@ class ExactDynamics:
     """
 
     def __init__(self, network: ExactNetwork) -> None:
-        self.network, deployed = network, network.deployed
-        N, n = deployed.N, deployed.n
-        self.n, centre = n, deployed.centre
-        assert centre is not None
-        gains = np.zeros((N + 1, n, len(deployed.network.C)))
-        hearer = np.repeat(deployed.hearer, np.diff(deployed.columns))
-        gains[hearer, :, deployed.sensor_rows] = deployed.gains
-        gains[N] = centre.gain.T
-        ends = deployed.columns[deployed.offsets]
-        self.heard = [*np.split(deployed.sensor_rows, ends[1:-1]), np.arange(gains.shape[-1])]
-        self.G, self.tilt = Exact.of(gains), Exact.of(centre.tilt)
-        self.Q, R = process_covariance(deployed), _noise_covariance(deployed)
-        self.GR = [self.G[k][:, seen] @ R[np.ix_(seen, seen)] for k, seen in enumerate(self.heard)]
-        E = [self.Q + GR @ self.G[N][:, seen].T for GR, seen in zip(self.GR, self.heard, strict=True)]
-        low = min(each.exponent for each in E)
-        self.E = Exact(np.stack([each.ints << (each.exponent - low) for each in E]), low)
-
-    @cached_property
-    def own(self) -> Exact:
-        """The coupling of each filter to the centre before the mixing, E_k T F_0, (N + 1, n, n)."""
-        F0 = self.network.centre_loops[0]
-        return self.E @ (self.tilt @ (self.tilt.T @ F0))
-
-    @cached_property
-    def coupling(self) -> Exact:
-        """The blocks C_k of F, (N, n, n)."""
-        return self.mixed(self.own)[: self.network.deployed.N]
+        self.network, self.n = network, network.deployed.n
 
     @cached_property
     def noise(self) -> Exact:
         """G G', d x d."""
-        N, n = self.network.deployed.N, self.network.deployed.n
-        d = (N + 1) * n
-        flat, tilted = self.G.reshape(d, -1), (self.E @ self.tilt).reshape(d, -1)
-        sensed = [GR @ flat[:, seen].T for GR, seen in zip(self.GR, self.heard, strict=True)]
-        low = min(each.exponent for each in sensed)
-        sensors = Exact(np.concatenate([each.ints << (each.exponent - low) for each in sensed]), low)
-        everywhere = Exact(np.tile(self.Q.ints, (N + 1, N + 1)), self.Q.exponent)
+        deployed, n = self.network.deployed, self.n
+        centre = deployed.centre
+        assert centre is not None
+        N, M = deployed.N, len(centre.gain)
+        gains = np.zeros((M, N + 1, n))
+        gains[deployed.sensor_rows, np.repeat(deployed.hearer, np.diff(deployed.columns))] = deployed.gains
+        gains[:, N] = centre.gain
+        G, sensed = Exact.of(gains), times_sensor_noise(deployed, gains.reshape(M, -1))
+        heard = [*np.split(deployed.sensor_rows, deployed.columns[deployed.offsets][1:-1]), np.arange(M)]
+        rows = [G.ints[seen, k].T @ sensed.ints[seen] for k, seen in enumerate(heard)]
+        sensors = Exact(np.concatenate(rows), G.exponent + sensed.exponent)
+        tilted = (self.network.shared_noise @ Exact.of(centre.tilt)).reshape((N + 1) * n, -1)
+        Q = process_covariance(deployed)
+        everywhere = Exact(np.tile(Q.ints, (N + 1, N + 1)), Q.exponent)
         return both_sides(self.mixed, everywhere + sensors + tilted @ tilted.T, n)
 
     def mixed(self, X: Exact) -> Exact:
@@ -178,7 +201,7 @@ class ExactDynamics:
     def step(self, X: Exact) -> Exact:
         """F X for X of (N + 1, n, anything)."""
         M, F0 = self.network.loops, self.network.centre_loops[0]
-        own = self.own @ X[-1]
+        own = self.network.couplings @ X[-1]
         filtered = M @ X[:-1]
         low = min(filtered.exponent, F0.exponent + X.exponent)
         centre = F0 @ X[-1]
@@ -200,46 +223,20 @@ class ExactDynamics:
         return self.step(eye).reshape(d, d).rounded(), self.noise.rounded()
 
 
-def _noise_covariance(deployed) -> Exact:
-    """R of all sensors, block diagonal; D D' exactly where the problem gave D."""
-    network = deployed.network
-    M = len(network.C)
-    factors = network.factors
-    parts: list[tuple[int, Exact]] = []
-    for k in range(network.N):
-        start = int(network.rows[k])
-        if factors is not None and factors.filled[k]:
-            D = Exact.of(factors.block(k))
-            parts.append((start, D @ D.T))
-        elif network.rows[k + 1] > start:
-            parts.append((start, Exact.of(network.sensors.block(k))))
-    return _block_diagonal(parts, M)
-
-
-def _block_diagonal(parts: Sequence[tuple[int, Exact]], M: int) -> Exact:
-    low = min((block.exponent for _, block in parts), default=0)
-    dense: Shaped[ndarray, "M M"] = np.zeros((M, M), dtype=object)
-    for start, block in parts:
-        rows = slice(start, start + len(block.ints))
-        dense[rows, rows] = block.ints << (block.exponent - low)
-    return Exact(dense, low)
-
-
 def _plan(
     Y: Float[ndarray, "N n n"],
     centre: Float[ndarray, "n n"],
     network: ExactNetwork,
-    coupling: Float[ndarray, "N n n"],
-    Fe: Float[ndarray, "n n"],
 ) -> tuple[float, Float[ndarray, "K n n"]] | None:
     """delta, and the Y_k, the centre's last, of a size such that the inequalities should hold; or None."""
-    M, W = network.deployed.loops[0], abs(network.deployed.mixing)
+    coupling = network.coupling_blocks.rounded()
+    M, W, Fe = network.deployed.loops[0], abs(network.deployed.mixing), network.centre_loops[1].rounded()
     sigma = np.asarray(W.sum(axis=1))
     image = M.mT @ (W.T @ (sigma[:, None] * Y.reshape(len(Y), -1))).reshape(Y.shape) @ M
     margin = 1 - max(largest_ratio(Y, image), largest_ratio(centre[None], (Fe.T @ centre @ Fe)[None]))
     if not margin > 0:
         return None
-    delta = float(f"{margin / 4:.2e}")
+    delta = float(f"{0.45 * margin:.2e}")
     Y = Y * 1.01 / np.linalg.eigvalsh(Y).min()
     room = delta * ((1 - delta) * centre - Fe.T @ centre @ Fe)
     reach = largest_ratio(room[None], (coupling.mT @ Y @ coupling).sum(axis=0)[None])

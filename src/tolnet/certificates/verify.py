@@ -2,41 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from tolnet.certificates import statements
 from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.eigenpair import validate
+from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.filter_claims import FILTER_CLAIMS, ExactFilters, verify
 from tolnet.certificates.numerals import vector
+from tolnet.certificates.performance import verify_performance
 
 
 def can_verify(claim: dict[str, Any]) -> bool:
-    """Whether this is a claim about a filter, or an eigenvalue outside the unit circle."""
-    witness = claim.get("witness")
-    eigenpair = isinstance(witness, dict) and witness.get("method") == "eigenpair"
-    return claim["claim"] in FILTER_CLAIMS or (claim["claim"] == "schur-stability" and eigenpair)
+    """Whether this is a claim about a filter, an eigenvalue outside the unit circle, or a performance without Q."""
+    return claim["claim"] in FILTER_CLAIMS or _verifier(claim) is not None
 
 
 def verify_claims(claims: Sequence[dict[str, Any]], deployed: Deployed) -> list[str | None]:
     """Why each of these entries of a certificate, of which `can_verify` is true, is not shown; None where it is."""
-    filters = ExactFilters(deployed)
-    return [
-        verify(claim, filters) if claim["claim"] in FILTER_CLAIMS else _verify_eigenpair(claim, deployed)
-        for claim in claims
-    ]
+    filters, network = ExactFilters(deployed), ExactNetwork(deployed)
+    found = []
+    for claim in claims:
+        verifier = _verifier(claim)
+        try:
+            found.append(verify(claim, filters) if verifier is None else verifier(network, claim))
+        except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
+            found.append(f"it is malformed: {error}")
+    return found
 
 
-def _verify_eigenpair(claim: dict[str, Any], deployed: Deployed) -> str | None:
+def _verifier(claim: dict[str, Any]) -> Callable[[ExactNetwork, dict[str, Any]], str | None] | None:
+    witness, proof = claim.get("witness"), claim.get("proof")
+    if claim["claim"] == "schur-stability" and isinstance(witness, dict) and witness.get("method") == "eigenpair":
+        return _verify_eigenpair
+    if claim["claim"] == "performance" and isinstance(proof, dict) and proof.get("Q", "") is None:
+        return verify_performance
+    return None
+
+
+def _verify_eigenpair(network: ExactNetwork, claim: dict[str, Any]) -> str | None:
     """A refuted `schur-stability` by an eigenvalue: the approximate inverse is computed anew."""
-    if claim["statement"] != statements.instability("network") or claim["witness"].get("of") != "network":
+    deployed, witness = network.deployed, claim["witness"]
+    if claim["statement"] != statements.instability("network") or witness.get("of") != "network":
         return "the statement is not the one that the claim proves"
-    witness = claim["witness"]
-    try:
-        real, imaginary = vector(witness["eigenvalue"]).tolist()
-        parts = vector(witness["vector"]).reshape(2, deployed.N * deployed.n)
-    except (KeyError, ValueError, AttributeError) as error:
-        return f"it is malformed: {error}"
+    if witness.keys() != {"of", "method", "eigenvalue", "vector"}:
+        return "its keys are not those of such a witness"
+    real, imaginary = vector(witness["eigenvalue"]).tolist()
+    parts = vector(witness["vector"]).reshape(2, deployed.N * deployed.n)
     found = validate(deployed, complex(real, imaginary), parts[0] + 1j * parts[1])
     return found if isinstance(found, str) else None

@@ -219,9 +219,9 @@ class Evidence:
         from tolnet.analysis.lyapunov_dense import solve_smith
 
         Q = centre = None
-        if self.centre_loop is not None and (self.deployed.N + 1) * self.deployed.n <= MOST:
+        if self.centre_loop is not None:
             centre = full_candidate(self.centre_loop.T)
-            if centre is not None and self.dual is not None:
+            if (self.deployed.N + 1) * self.deployed.n <= MOST and centre is not None and self.dual is not None:
                 F, noise = ExactDynamics(self.exact).rounded()
                 Q = solve_smith(F, noise).X
         return prove_performance(self.exact, Q, self.dual, centre)
