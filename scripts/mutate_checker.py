@@ -224,7 +224,7 @@ def _become(other: Callable[[Any], ast.AST]) -> Change:
 
 # Of many cases of one kind, every so many: enough to notice a fault, and much quicker.
 STRIDE = {
-    "test_designed_alterations": 4,
+    "test_designed_alterations": 2,
     "test_random_alterations": 10,
     "test_intervals_are_as_narrow_as_the_proof_allows_and_no_narrower": 4,
     "test_random_networks_on_both_sides": 5,
@@ -232,7 +232,7 @@ STRIDE = {
     "test_no_alteration_is_accepted_unless_it_is_true": 4,
     "test_the_rate_that_a_proof_reaches": 3,
     "test_the_margin_that_switching_reaches": 4,
-    "test_the_contraction_that_performance_needs": 4,
+    "test_the_contraction_of_the_centre_that_performance_needs": 2,
 }
 NEED_A_PROCESS = {
     "test_it_runs_as_a_plain_file",

@@ -406,6 +406,25 @@ def test_data_that_fit_no_network_are_refused(path: tuple[str | int, ...], value
         check(made)
 
 
+def test_covariances_are_symmetric():
+    for key, text, turned in (
+        ("R", "0x1p+0 0x1p-2 0x1p-2 0x1p+1", "0x1p+0 0x1p-2 0x1p-3 0x1p+1"),
+        ("Q", "0x1p+0 0x0p+0 0x0p+0 0x1p+0", "0x1p+0 0x0p+0 0x1p-9 0x1p+0"),
+    ):
+        made = proof("two states, finite")
+        made["data"]["Q"] = ["0x1p+0 0x0p+0 0x0p+0 0x1p+0"]
+        for given, refused in ((text, False), (turned, True)):
+            if key == "R":
+                made["data"]["R"][0][0] = given
+            else:
+                made["data"]["Q"] = [given]
+            if refused:
+                with pytest.raises(Refused, match="is not symmetric"):
+                    check(made)
+            else:
+                check(made)
+
+
 def test_a_second_moment_may_be_singular():
     """Pi_0 = diag(0, 1/2) is semidefinite, [[0, 1], [1, 1]] is not."""
     made = proof("two states, finite")

@@ -14,7 +14,7 @@ from tests.reference import certificates as maker
 from tests.reference.certificate_truth import mean_square_deviations, radius_is_below, symmetric
 from tests.reference.certificates import BLOCKS, Document, Numbers, document, scalar_data, text, triangle
 
-from tolnet.certificates.check import Matrix, check, is_positive_definite
+from tolnet.certificates.check import Matrix, check, is_positive_definite, is_semidefinite
 
 TINY = 2.0**-50
 STABLE = f"Every eigenvalue of {BLOCKS['network']} lies inside the unit circle: errors die out."
@@ -280,6 +280,46 @@ def test_intervals_are_as_narrow_as_the_proof_allows_and_no_narrower(seed: int) 
     ):
         assert result(data, claim | {"nodes": [text(narrow), *claim["nodes"][1:]]}) == "invalid"
         assert result(data, claim | {"nodes": [*claim["nodes"][:-1], text(narrow)]}) == "invalid"
+
+
+def test_a_scenario_says_one_thing() -> None:
+    """Links that drop, or other weights and gains: both together would leave one of them unproved."""
+    said = (
+        "The network block of the error dynamics stays stable however the nominal network and 1 scenarios alternate."
+    )
+    claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0, "reason": None}
+    claim["proof"] = {"Y": [ONE] * 2}
+    data, wild = switching_data(1.125, 0.5), [text([6.0, 6.0])] * 2
+    for scenario, holds in (({"drop": [[0, 1]]}, True), ({"weights": wild}, False), ({}, True)):
+        assert result(data, claim | {"scenarios": [scenario]}) == ("valid" if holds else "invalid")
+    for other in ({"weights": wild}, {"gains": wild}):
+        assert result(data, claim | {"scenarios": [{"drop": [[0, 1]], **other}]}) == "invalid"
+
+
+@pytest.mark.parametrize(
+    ("rows", "semidefinite"),
+    [
+        ([[0]], True),
+        ([[-1]], False),
+        ([[1, 1], [1, 1]], True),
+        ([[1, 2], [2, 1]], False),
+        ([[1, -1], [-1, 1]], True),
+        ([[0, 1], [1, 0]], False),
+        ([[0, 0], [0, 1]], True),
+        ([[0, 0, 1], [0, 1, 0], [1, 0, 1]], False),
+        ([[2, 1, 1], [1, 1, 0], [1, 0, 1]], True),
+        ([[2, 1, 1], [1, 1, 0], [1, 0, 0]], False),
+        ([[4, 2, 6], [2, 1, 3], [6, 3, 9]], True),
+        ([[4, 2, 6], [2, 1, 3], [6, 3, 8]], False),
+        ([[3, 1, 1], [1, 1, 0], [1, 0, 1]], True),
+        ([[1, 1, 0], [1, 1, 1], [0, 1, 9]], False),
+        ([[10**40, 10**40], [10**40, 10**40]], True),
+        ([[10**40, 10**40 + 1], [10**40 + 1, 10**40]], False),
+    ],
+)
+def test_semidefiniteness_is_decided_exactly(rows: list[list[int]], semidefinite: bool) -> None:
+    assert is_semidefinite(Matrix(rows)) is semidefinite
+    assert is_semidefinite(Matrix([row[::-1] for row in rows[::-1]])) is semidefinite
 
 
 def test_a_wrong_solution_does_not_reach_its_intervals() -> None:

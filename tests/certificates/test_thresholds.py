@@ -330,3 +330,34 @@ def test_the_residual_that_performance_allows(seed: int, part: str) -> None:
             intervals = {part: [float(middle - a * error), float(middle + b * error)]}
             claim = msd({"Q": triangle(Q)}, [y * np.eye(1) for y in Y], delta, **intervals)
             assert result(data, claim) == ("valid" if holds else "invalid")
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 3])
+def test_the_roots_of_Y_are_not_rounded_down(nodes: int) -> None:
+    """F = I / 2, Q = I, so that Z has 1/4 on its diagonal and 1 elsewhere; Y = 2 I, whose root is irrational."""
+    data = {**scalar_data(0.5), "nodes": nodes, "neighbours": [[k] for k in range(nodes)]}
+    data |= {"C": [""] * nodes, "noise": [{}] * nodes, "gains": [""] * nodes, "weights": [text([1.0])] * nodes}
+    data["centre"] = {"gain": [""] * nodes, "tilt": text([0.0]), "columns": 1}
+    blocks = nodes + 1
+    total = 2 * (blocks / 4 + blocks * (blocks - 1)) / 0.25
+    for part, error in (("nodes", total), ("centre", total), ("network", total / nodes)):
+        for close, holds in ((1 + 2.0**-38, True), (1 - 2.0**-44, False)):
+            interval = [1 - close * error, 1 + close * error]
+            claim = msd({"Q": triangle(np.eye(blocks))}, [2 * np.eye(1)] * blocks, 0.25, **{part: interval})
+            assert result(data, claim) == ("valid" if holds else "invalid")
+
+
+def test_performance_needs_noise_on_every_sensor() -> None:
+    """No gain uses any sensor, so that nothing else notices an R that is no covariance."""
+    data = coupled(0)
+    for gains in (data["gains"], data["centre"]["gain"]):
+        gains[:] = [text([0.0] * len(words.split())) for words in gains]
+    data["A"], data["centre"]["tilt"] = text(np.zeros((2, 2))), text(np.zeros((2, 1)))
+    _, noise, _ = Numbers(data).whole()
+    claim = msd({"Q": triangle(noise)}, [2 * np.eye(2)] * 4, 0.01)
+    assert result(data, claim) == "valid"
+    for k, given in enumerate(data["noise"]):
+        for factor in (-1.0, 0.0):
+            other = {"R": text([factor * float.fromhex(x) for x in given["R"].split()])}
+            noises = [*data["noise"][:k], other, *data["noise"][k + 1 :]]
+            assert result({**data, "noise": noises}, claim) == "invalid"
