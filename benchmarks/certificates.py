@@ -11,24 +11,27 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import eigs
 
 import tolnet.certificates
 from benchmarks.harness import Measurement, measure_process, show
-from tolnet import design
+from tolnet import analysis, design
 from tolnet.analysis.stability_candidates import block_candidate
-from tolnet.certificates.deployed import Deployed
+from tolnet.certificates.deployed import Centre, Deployed
 from tolnet.certificates.document import certificate_json
 from tolnet.certificates.eigenpair import sparse_block
 from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.stability import Candidate, prove_stability
 from tolnet.certificates.verdicts import Proved
+from tolnet.cli.evidence import Evidence
 from tolnet.design.export import opening
-from tolnet.design.export.deployment import Deployment
+from tolnet.design.export.deployment import Deployment, central_gain_columns
 from tolnet.model import SensorNetwork
 from tolnet.model.examples import projectile, random_network
+from tolnet.model.worst_case import psd_factor
 
 SIZES = ((1_000, 6), (100_000, 4))
 """Nodes and states."""
@@ -36,10 +39,44 @@ CHECKER = Path(tolnet.certificates.__file__).with_name("check.py")
 
 
 def run() -> None:
-    """The projectile and two random networks."""
+    """The projectile and two random networks; mean square deviations of the smaller ones."""
     compare(projectile())
     for N, n in SIZES:
         compare(random_network(N, 1, n))
+    enclose(projectile())
+    N, n = SIZES[0]
+    enclose(random_network(N, 1, n))
+
+
+def enclose(network: SensorNetwork) -> None:
+    """Time an enclosure of the mean square deviations against their evaluation, which proves nothing."""
+    table = design.choose_tolerances(network)
+    d, worst = Deployment.of(table), analysis.least_favourable_model(network, table.central)
+    centre = Centre(central_gain_columns(network, table.central), psd_factor(worst.tilt))
+    deployed = Deployed(network, d.offsets, d.neighbours, d.weights, d.columns, d.gains, centre)
+    found: list[Any] = []
+    weights = design.diffusion_matrix(network)
+    lines = [
+        _timed(
+            "evaluate them, in floating point",
+            lambda: found.append(analysis.evaluate_filters(table, weights, filters=["RKFDNU2"])),
+        ),
+        _timed("enclose them", lambda: found.append(Evidence(deployed).performance())),
+    ]
+    verdict = found[1]
+    if not isinstance(verdict, Proved):
+        raise SystemExit(f"not proved: {verdict.reason}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "certificate.json"
+        path.write_text(
+            "".join(certificate_json(opening("tolnet.certificate/1", network, "ok"), deployed.data(), [verdict]))
+        )
+        size = path.stat().st_size
+        lines.append(measure_process("tolnet check", ["-m", "tolnet", "check", str(path), "--quiet"], repeats=1))
+    show(f"Mean square deviations of {network.N:,} nodes, n = {network.n}", lines)
+    low, high = map(float.fromhex, verdict.keys["network"].split(" "))
+    way = "exactly" if verdict.proof["Q"] is not None else "with bounds on rounding"
+    print(f"  {way}: {(low + high) / 2:.9g} within {(high - low) / 2:.2g}, certificate of {size / 2**20:.3g} MB")
 
 
 def compare(network: SensorNetwork) -> None:

@@ -174,6 +174,7 @@ def test_messages_of_hostile_files_are_plain_text(tmp_path: Path, capsys: pytest
 def test_too_many_sets_of_links_are_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """A star of 60 nodes, of which any 30 links may drop."""
     monkeypatch.setattr(checker, "LONGEST", 1)
+    monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     nodes = 60
     data = {**scalar_data(0.1), "nodes": nodes, "C": [""] * nodes, "noise": [{}] * nodes, "gains": [""] * nodes}
     data["neighbours"] = [list(range(nodes))] + [[0, k] for k in range(1, nodes)]
@@ -191,6 +192,7 @@ def test_too_many_sets_of_links_are_not_checked(monkeypatch: pytest.MonkeyPatch)
 def test_too_many_steps_are_not_checked(monkeypatch: pytest.MonkeyPatch, zero: bool) -> None:
     """A power of 10^15, of weights that are zero as well."""
     monkeypatch.setattr(checker, "LONGEST", 1)
+    monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     found = certificate("power network")
     found["claims"][0]["proof"]["power"] = 10**15
     if zero:
@@ -200,6 +202,7 @@ def test_too_many_steps_are_not_checked(monkeypatch: pytest.MonkeyPatch, zero: b
 
 def test_many_scenarios_are_not_checked_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checker, "LONGEST", 1)
+    monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     found = certificate("scenarios")
     gains = found["data"]["gains"]
     claim = found["claims"][0]
@@ -213,6 +216,7 @@ def test_every_claim_counts_against_the_same_time(monkeypatch: pytest.MonkeyPatc
     found = certificate("primal network")
     found["claims"] *= 10**4
     monkeypatch.setattr(checker, "LONGEST", 1)
+    monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     results = [finding.result for finding in check(found)]
     assert results[0] == "valid"
     assert set(results) == {"valid", "not checked here"}
@@ -230,6 +234,7 @@ def test_matrices_over_too_many_nodes_are_not_checked(monkeypatch: pytest.Monkey
 
 def test_data_that_take_too_long_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checker, "LONGEST", -1)
+    monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     with pytest.raises(Refused, match="more than -1 seconds"):
         check(certificate("performance, relays"))
 
