@@ -156,9 +156,10 @@ def test_signed_weights_count_by_their_size(slack: float) -> None:
 
 @pytest.mark.parametrize("direct", [True, False])
 def test_the_centre_counts_where_the_block_is_F(direct: bool) -> None:
-    """F_0 = 1/2, N = 1: F_e = 1/2 + y^2 / 2, which is 1 at y = 1; the network has nothing to do with it."""
-    for y, stable in ((1 - TINY, True), (1.0, False), (1 + TINY, False)):
-        data = {**scalar_data(0.5), "centre": {"gain": [""], "tilt": text([y]), "columns": 1}}
+    """F_0 = 1/4, N = 3/4: F_e = 1/4 + 3 y^2 / 16, which is 1 at y = 2; the network has nothing to do with it."""
+    for y, stable in ((2 - TINY, True), (2.0, False), (2 + TINY, False)):
+        data = {**scalar_data(0.25), "centre": {"gain": [""], "tilt": text([y]), "columns": 1}}
+        data["process"] = {"Q": text([0.75])}
         proof = {"method": "primal", "X": [ONE], "centre": ONE}
         said = f"Every eigenvalue of {BLOCKS['F']} lies inside the unit circle: errors die out."
         claim = proved("primal") | {"block": "F", "proof": proof, "statement": said}
@@ -168,7 +169,7 @@ def test_the_centre_counts_where_the_block_is_F(direct: bool) -> None:
         said = "Some eigenvalue of the least favourable block of the error dynamics lies outside the unit circle: "
         witness = {"of": "centre", "method": "lyapunov", "X": ONE, "v": ONE}
         claim = refuted("lyapunov") | {"block": "F", "statement": said + "errors grow.", "witness": witness}
-        assert result(data, claim) == ("valid" if y > 1 else "invalid")
+        assert result(data, claim) == ("valid" if y > 2 else "invalid")
         assert result(data, claim | {"block": "network"}) == "invalid"
 
 
