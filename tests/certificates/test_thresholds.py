@@ -241,7 +241,7 @@ def bounds(data: Document, rng: np.random.Generator, delta: float) -> tuple[Docu
     Y = [definite(rng, n) + 1.5 * np.eye(n) for _ in range(N + 1)]
     images = [at.M[l].T @ sum(at.sigma[k] * abs(at.W[l, k]) * Y[k] for k in range(N)) @ at.M[l] for l in range(N)]
     most = 1 - max(map(largest, images, Y[:N])) ** 0.5
-    reached = sum(coupling[k].T @ Y[k] @ coupling[k] for k in range(N))
+    reached = np.sum([coupling[k].T @ Y[k] @ coupling[k] for k in range(N)], axis=0)
     least = largest(reached, delta * ((1 - delta) * Y[N] - at.Fe.T @ Y[N] @ at.Fe))
     proof = {"Q": triangle(Q), "Y": Y}
     return proof, most, least
