@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import resource
 import subprocess
 import sys
@@ -241,18 +242,39 @@ def test_data_that_take_too_long_are_refused(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_wide_tilt_takes_little_memory() -> None:
     """A factor of T with 20,000 columns: the matrices of a proof have as many rows as the network has states."""
-    one, columns = text([1.0]), 20_000
+    columns = 20_000
     gain = {"gain": [""], "tilt": " ".join([(2.0**-9).hex()] * columns), "columns": columns}
-    half, wide = text([0.5]), text([0.0, 1.0])
-    claim = {"claim": "performance", "verdict": "proved", "statement": "", "margin": None, "reason": None}
+    data, wide = {**scalar_data(0.5), "centre": gain}, text([-9.0, 9.0])
+    said = (
+        "Under the stated least favourable model the mean square deviation of the network lies in "
+        f"[{-9.0!r}, {9.0!r}], and that of every node in its interval."
+    )
+    claim = {"claim": "performance", "verdict": "proved", "statement": said, "margin": None, "reason": None}
     claim |= {"nodes": [wide], "centre": wide, "network": wide}
-    proof = {"method": "blocks", "Q": text([1, 0, 1]), "X": [one, one], "epsilon": one, "delta": half, "share": half}
+    proof = {"Q": text([1.0, 1.0, 1.5]), "Y": [text([2.0]), text([100.0])], "delta": text([0.125])}
     tracemalloc.start()
-    found = check(document({**scalar_data(0.5), "centre": gain}, {**claim, "proof": proof}))
+    found = check(document(data, {**claim, "proof": proof}))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert found[0].result == "invalid"
+    assert found[0].reason == "nodes[0]: the proof does not reach this interval"  # after all that needs memory
     assert peak < 20e6
+
+
+def test_a_power_of_the_rate_is_not_taken_for_ever() -> None:
+    found = certificate("rate power")
+    for power in (10**6, 10**15):
+        found["claims"][0]["proof"]["power"] = power
+        found["claims"][0]["rate"] = (1 - 2.0**-53).hex()
+        assert check(found)[0].result == "not checked here"
+
+
+def test_second_moments_are_judged_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """40 rows of numbers spread over 900 binary orders of magnitude, singular, so that every pivot counts."""
+    rng = random.Random(1)
+    L = [[rng.randrange(1, 2**53) << rng.randrange(0, 900) if j < i else 0 for j in range(40)] for i in range(40)]
+    factor = checker.Matrix(L)
+    monkeypatch.setattr(checker.Clock, "end", time.process_time() + 60)
+    assert checker.is_semidefinite(factor.by(factor))
 
 
 def test_the_widest_numbers_are_decided_in_time() -> None:

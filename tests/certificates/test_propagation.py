@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from tests.certificates.deployments import deployment_of, random_network
 from tolnet import model
 from tolnet.analysis.stability_candidates import full_candidate
 from tolnet.certificates import performance, propagation
-from tolnet.certificates.deployed import Deployed
+from tolnet.certificates.deployed import Centre, Deployed
 from tolnet.certificates.exact import Exact
 from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.performance import ExactDynamics, contracts, prove_performance, verify_performance
@@ -216,11 +217,95 @@ def test_networks_without_an_answer_are_undecided(monkeypatch: pytest.MonkeyPatc
     evidence = Evidence(deployed)
     followed_only(monkeypatch)
     assert isinstance(prove_performance(evidence.exact, None, None, None), Undecided)
-    monkeypatch.setattr(performance, "ROOM", 10)
+    monkeypatch.setattr(propagation, "_ROOM", 10)
     verdict = evidence.performance()
     assert isinstance(verdict, Undecided)
     assert "nodes" in verdict.reason
     monkeypatch.undo()
     followed_only(monkeypatch)
-    monkeypatch.setattr(propagation, "_MOST_STEPS", 3)
+    monkeypatch.setattr(propagation, "_MOST_WORK", 100)
     assert isinstance(Evidence(deployed).performance(), Undecided)
+
+
+def relays(B: float, weights: list[list[float]] | None = None, **process: Any) -> Deployed:
+    """Two nodes without sensors that mix; no tilt."""
+    network = model.SensorNetwork(
+        A=[[1e-10]],
+        **(process or {"B": [[B]]}),
+        C=[np.empty((0, 1))] * 2,
+        D=[np.empty((0, 0))] * 2,
+        edges=[[0, 1]],
+    )
+    entries = np.array(weights if weights is not None else [[0.5, 0.5], [0.5, 0.5]]).ravel()
+    nothing = np.empty((0, 1))
+    centre = Centre(nothing, np.zeros((1, 0)))
+    return Deployed(network, np.array([0, 2, 4]), np.array([0, 1, 0, 1]), entries, np.zeros(5, int), nothing, centre)
+
+
+@pytest.mark.parametrize("B", [1.1, 1.1e-30, 1.1e-48, 1.1e-60, 1.1e-80, 1.1e-150, 1.1e-158])
+def test_noise_near_the_end_of_doubles_is_no_proof(B: float, monkeypatch: pytest.MonkeyPatch):
+    """Weights that cancel make much of the rounding; squares of it must not be lost."""
+    followed_only(monkeypatch)
+    W = [[1e8 + 0.1, -1e8 + 0.7], [0.3e8, -0.3e8 + 1.1]]
+    deployed = relays(B, W)
+    verdict = prove_performance(ExactNetwork(deployed), None, np.full((2, 1, 1), 2.0), np.full((1, 1), 2.0))
+    assert isinstance(verdict, Proved) is (B > 1e-50)
+    if isinstance(verdict, Proved):
+        a, rows = Fraction(1e-10), [[Fraction(w) for w in row] for row in W]
+        sources, truth = [sum(row) * Fraction(B) for row in rows], [Fraction(0)] * 2
+        for _ in range(12):
+            truth = [t + x * x for t, x in zip(truth, sources, strict=True)]
+            sources = [a * sum(w * x for w, x in zip(row, sources, strict=True)) for row in rows]
+        for (low, high), t in zip(intervals(verdict), truth, strict=False):
+            assert Fraction(low) <= t <= Fraction(high)
+
+
+def test_numbers_are_written_as_doubles_are(certified: tuple[Deployed, dict[str, Any]]):
+    deployed, claim = certified
+    for text in ("-0x1p-1000 -0x1p-2000", "-inf inf", "-100 0X1P9", "-0x1p+9 0x1.fffffffffffff8p+9", "-9 9"):
+        for key in ("nodes", "centre"):
+            other = copy.deepcopy(claim)
+            other[key] = [text, *other["nodes"][1:]] if key == "nodes" else text
+            assert "malformed" in str(verify_claims([other], deployed)[0])
+    other = copy.deepcopy(claim)
+    other["proof"]["delta"] = "0.001"
+    assert "float.hex" in str(verify_claims([other], deployed)[0])
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_what_is_no_covariance_has_no_performance(follow: bool, monkeypatch: pytest.MonkeyPatch):
+    """Q = [[1, 1], [1, 1 - 2^-53]] is indefinite by less than a model refuses."""
+    if follow:
+        followed_only(monkeypatch)
+    network = random_network(2)
+    n = network.n
+    Q = np.ones((n, n))
+    Q[-1, -1] = 1 - 2.0**-53
+    assert n > 1
+    other = model.SensorNetwork(
+        A=network.A,
+        Q=Q,
+        C=[network.C[network.rows[k] : network.rows[k + 1]] for k in range(network.N)],
+        R=[network.sensors.block(k) for k in range(network.N)],
+        edges=[[k, k + 1] for k in range(network.N - 1)],
+        ambiguity=network.ambiguity,
+    )
+    verdict = Evidence(deployment_of(other)).performance()
+    assert isinstance(verdict, Undecided)
+    assert "semidefinite" in verdict.reason
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_a_network_without_sensors(follow: bool, monkeypatch: pytest.MonkeyPatch):
+    if follow:
+        followed_only(monkeypatch)
+    verdict = Evidence(relays(1.0)).performance()
+    assert isinstance(verdict, Proved)
+    assert intervals(verdict)[0][0] <= 1 <= intervals(verdict)[0][1]
+
+
+def test_a_wide_tilt_is_not_followed():
+    deployed = relays(1.0)
+    assert propagation.can_follow(deployed)
+    wide = Centre(np.empty((0, 1)), np.zeros((1, 10_000)))
+    assert not propagation.can_follow(replace(deployed, centre=wide))

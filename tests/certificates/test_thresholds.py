@@ -361,3 +361,11 @@ def test_performance_needs_noise_on_every_sensor() -> None:
             other = {"R": text([factor * float.fromhex(x) for x in given["R"].split()])}
             noises = [*data["noise"][:k], other, *data["noise"][k + 1 :]]
             assert result({**data, "noise": noises}, claim) == "invalid"
+
+
+def test_performance_needs_a_process_noise_that_is_one() -> None:
+    """F = 0: the solution is Q itself, whatever it is."""
+    data = {**scalar_data(0.0), "centre": {"gain": [""], "tilt": "", "columns": 0}}
+    for Q, holds in ((1.0, True), (0.0, True), (-1.0, False)):
+        claim = msd({"Q": text([Q] * 3)}, [2 * np.eye(1)] * 2, 0.25)
+        assert result({**data, "process": {"Q": text([Q])}}, claim) == ("valid" if holds else "invalid")

@@ -13,7 +13,6 @@ With kappa - 1 - log kappa >= c, T_0(P) = A (P^-1 + S)^-1 A' + Q and T_+(P) = A 
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from numpy import ndarray
 from tolnet.certificates import balls
 from tolnet.certificates.balls import BallMatrix, NotProved
 from tolnet.certificates.convergence import Region, find_region
+from tolnet.certificates.exact import Exact, is_semidefinite
 from tolnet.certificates.exact_filter import Covariance, Equations, ExactFilter
 from tolnet.certificates.fixed_point import Box, enclose, find_box
 from tolnet.certificates.numerals import number_text, symmetric_matrix, symmetric_text
@@ -199,25 +199,10 @@ def _between(L: BallMatrix, U: BallMatrix) -> BallMatrix:
 
 
 def is_nonnegative(covariance: Covariance) -> bool:
-    """Whether a covariance is positive semidefinite, exactly: B B' is; Q by elimination in fractions."""
+    """Whether a covariance is positive semidefinite, exactly: B B' is."""
     if covariance.is_factor:
         return True
-    if not covariance.is_symmetric:
-        return False
-    rows = [[Fraction(x) for x in row] for row in covariance.matrix.tolist()]
-    while rows:
-        pivot = rows[0][0]
-        if pivot < 0 or (pivot == 0 and any(rows[0])):
-            return False
-        tail = [row[1:] for row in rows[1:]]
-        if pivot > 0:
-            first = rows[0][1:]
-            tail = [
-                [x - a * b / pivot for x, b in zip(row, first, strict=True)]
-                for row, a in zip(tail, first, strict=True)
-            ]
-        rows = tail
-    return True
+    return covariance.is_symmetric and is_semidefinite(Exact.of(covariance.matrix))
 
 
 def _factor(c: float) -> float:

@@ -33,6 +33,7 @@ SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
 LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 LARGEST_MATRIX = 1500  # rows of a matrix that speaks of all nodes at once
+LONGEST_PATH = 1000  # links
 LONGEST = 1800  # seconds of processor time that a document may cost
 LAST_ZEROS = re.compile(r"\.?0+p")  # of the fraction of a hexadecimal number: they may be left out
 
@@ -184,14 +185,17 @@ def _shifted(x: int, by: int) -> int:
 
 
 def is_semidefinite(S: Matrix) -> bool:
-    """By elimination in fractions: no pivot is negative, and beside a pivot of zero there are only zeros."""
-    rows = [list(map(Fraction, row)) for row in S.rows]
+    """By fraction-free elimination: no pivot is negative, and beside a pivot of zero there are only zeros."""
+    rows, previous = S.rows, 1
     while rows:
-        Clock.check()
         (pivot, *rest), *below = rows
         if pivot < 0 or (pivot == 0 and any(rest)):
             return False
-        rows = [[x - row[0] * y / (pivot or 1) for x, y in zip(row[1:], rest, strict=True)] for row in below]
+        rows, scale = [], pivot or previous
+        for head, *row in below:
+            Clock.check()
+            rows.append([(x * scale - head * y) // previous for x, y in zip(row, rest, strict=True)])
+        previous = scale
     return True
 
 
@@ -364,6 +368,8 @@ def stable(claim: dict[str, Any], at: Deployment) -> str:
         dual(at, at.pull, at.loop, _definite(at, proof, "Y"), s, at.watch("dual conditions", len(at)))
     else:
         j, shares = _whole(proof, "proof.power", 2), _list(proof["shares"], len(at), "proof.shares")
+        if j > LONGEST_PATH:
+            raise Declined(f"paths of more than {LONGEST_PATH} links")
         power(at, j, _definite(at, proof, "X"), shares, kept * rate ** (2 * j))
     if block == "F":
         full(at.centre[-1], _symmetric(proof["centre"], at.n, "proof.centre"), s, "proof.centre")
@@ -462,6 +468,9 @@ def performance(claim: dict[str, Any], at: Deployment) -> str:
     _require(delta < 1, "proof.delta: expected a number below 1")
     for l, R in enumerate(at.R):
         _require_definite(R, f"R[{l}]")
+    _require(
+        is_positive_definite(at.Q) or is_semidefinite(at.Q), "data.process: Q is not semidefinite; a factor B is"
+    )
     Q, Y = _symmetric(proof["Q"], size, "proof.Q"), _symmetric_list(proof["Y"], N + 1, n, "proof.Y")
     for k, Y_k in enumerate(Y):
         _require_definite(Y_k - _unit(n), f"Y[{k}] - I")

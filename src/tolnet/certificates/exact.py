@@ -103,6 +103,22 @@ class Exact:
         return good.reshape(self.ints.shape[:-2])
 
 
+def is_semidefinite(S: Exact) -> bool:
+    """Whether one symmetric matrix is positive semidefinite, decided by fraction-free elimination (Bareiss).
+
+    No pivot is negative, and beside a pivot of zero there are only zeros.
+    """
+    rows, previous = S.ints, 1
+    while len(rows):
+        pivot, rest = rows[0, 0], rows[0, 1:]
+        if pivot < 0 or (pivot == 0 and rest.any()):
+            return False
+        scale = pivot or previous
+        rows = (rows[1:, 1:] * scale - np.multiply.outer(rows[1:, 0], rest)) // previous
+        previous = scale
+    return True
+
+
 def segment_sums(values: Exact, offsets: ndarray) -> Exact:
     """Sums of the rows offsets[k] to offsets[k + 1] of the first axis, zero where there are none."""
     counts = np.diff(offsets)

@@ -41,6 +41,13 @@ def vector(text: str) -> Float[ndarray, " m"]:
     return np.array([float.fromhex(word) for word in text.split(" ")] if text else [], dtype=float)
 
 
+def require_exact(text: str) -> None:
+    """Raise ValueError unless the text is of finite doubles as `float.hex` writes them: others would be rounded."""
+    entries = vector(text)
+    if text not in (" ".join(map(float.hex, entries.tolist())), matrix_text(entries)):
+        raise ValueError(f"{text[:60]!r} is not written as float.hex writes doubles")
+
+
 def shortened(X: Float[ndarray, "*K n n"], bits: int) -> Float[ndarray, "*K n n"]:
     """X with entries rounded to multiples of 2^-bits of the size that the diagonal gives them: short numerals.
 

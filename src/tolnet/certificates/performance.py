@@ -18,7 +18,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.certificates import statements
-from tolnet.certificates.exact import Exact
+from tolnet.certificates.deployed import Deployed
+from tolnet.certificates.exact import Exact, is_semidefinite
 from tolnet.certificates.exact_network import (
     ExactNetwork,
     both_sides,
@@ -34,7 +35,7 @@ from tolnet.certificates.numerals import (
     symmetric_text,
     vector,
 )
-from tolnet.certificates.propagation import ROOM, count_entries, follow_noise
+from tolnet.certificates.propagation import can_follow, follow_noise
 from tolnet.certificates.stability import has_positive_diagonal, largest_ratio
 from tolnet.certificates.verdicts import Proved, Undecided
 
@@ -66,7 +67,9 @@ def prove_performance(
     small = (deployed.N + 1) * deployed.n <= MOST
     if deployed.centre is None:
         return _undecided("there is no least favourable model")
-    if not small and count_entries(deployed) > ROOM:
+    if not has_covariances(deployed):
+        return _undecided("Q is not exactly semidefinite, or some R not definite; a factor B or D instead is always")
+    if not small and not can_follow(deployed):
         return _undecided(f"there are {deployed.N} nodes; the noise of so many is not followed to the end")
     if (Q is None and small) or Y is None or centre is None or not all(map(has_positive_diagonal, (Y, centre))):
         return _undecided(
@@ -114,7 +117,9 @@ def verify_performance(network: ExactNetwork, claim: dict[str, Any]) -> str | No
         return "its matrices or its intervals are not those of such a network"
     if claim["statement"] != statements.performance(*intervals[-1].tolist()):
         return "the statement is not the one that the claim proves"
-    if deployed.centre is None or count_entries(deployed) > ROOM:
+    if not has_covariances(deployed):
+        return "Q is not semidefinite, or some R is not definite"
+    if deployed.centre is None or not can_follow(deployed):
         return "there is no least favourable model, or the network is too large"
     if not contracts(network, delta, Y):
         return "the contraction is not shown"
@@ -142,6 +147,23 @@ def contracts(network: ExactNetwork, delta: float, Y: Float[ndarray, "K n n"]) -
     last = part * (kept * stack[N] - Fe.T @ stack[N] @ Fe) - reached
     conditions = (stack - Exact.of(np.eye(Y.shape[1])), kept * kept * stack[:N] - own, last)
     return all(bool(condition.definite().all()) for condition in conditions)
+
+
+def has_covariances(deployed: Deployed) -> bool:
+    """Whether Q is positive semidefinite and every R positive definite, exactly."""
+    network = deployed.network
+    if network.B is None and not is_semidefinite(Exact.of(network.Q)):
+        return False
+    for nodes, _, R in network.sensors.groups():
+        factors = network.factors
+        by_factor = np.zeros(len(nodes), dtype=bool) if factors is None else factors.filled[nodes]
+        given = [Exact.of(R[~by_factor])] if not by_factor.all() else []
+        if factors is not None and by_factor.any():
+            D = Exact.of(np.stack([factors.block(k) for k in nodes[by_factor].tolist()]))
+            given.append(D @ D.T)
+        if not all(S.definite().all() for S in given):
+            return False
+    return True
 
 
 def _error(residual: Exact, Y: Float[ndarray, "K n n"]) -> Fraction:
@@ -178,7 +200,7 @@ class ExactDynamics:
         gains = np.zeros((M, N + 1, n))
         gains[deployed.sensor_rows, np.repeat(deployed.hearer, np.diff(deployed.columns))] = deployed.gains
         gains[:, N] = centre.gain
-        G, sensed = Exact.of(gains), times_sensor_noise(deployed, gains.reshape(M, -1))
+        G, sensed = Exact.of(gains), times_sensor_noise(deployed, gains.reshape(M, (N + 1) * n))
         heard = [*np.split(deployed.sensor_rows, deployed.columns[deployed.offsets][1:-1]), np.arange(M)]
         rows = [G.ints[seen, k].T @ sensed.ints[seen] for k, seen in enumerate(heard)]
         sensors = Exact(np.concatenate(rows), G.exponent + sensed.exponent)

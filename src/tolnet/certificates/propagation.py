@@ -31,9 +31,12 @@ _RAISED = 1 + 1e-8
 """More than what bounds lose when they are evaluated themselves."""
 _TINY = 1e-290
 """More than all underflows of one product."""
-ROOM = 40_000_000
-"""Entries of X_0 up to which noise is followed; some copies are held at a time."""
-_MOST_STEPS = 100_000
+_ROOM = 40_000_000
+"""Entries of X_0, and of the Gramian of its columns, up to which noise is followed; some copies are held."""
+_MOST_WORK = 10**11
+"""Entries of all X_t together: ten minutes or so."""
+_SMALLEST, _LARGEST = 1e-100, 1e50
+"""Of mean square deviations and of Y: far from where squares underflow or overflow."""
 _FALLEN = 0.1
 _LEFT = 1e-13
 """Part of the whole that columns may carry to be left out, and that may remain at the end."""
@@ -55,18 +58,18 @@ class Sources(NamedTuple):
     coupling_error: Float[ndarray, " K"]
 
 
-def count_entries(deployed: Deployed) -> int:
-    """Entries of X_0. Assumes that a centre is stated."""
+def can_follow(deployed: Deployed) -> bool:
+    """Whether there is room for the noise of so many sources. Assumes that a centre is stated."""
     network, centre = deployed.network, deployed.centre
     assert centre is not None
     columns = len(network.C) + (network.n if network.B is None else network.B.shape[1]) + centre.tilt.shape[1]
-    return (deployed.N + 1) * deployed.n * columns
+    return columns * max(columns, (deployed.N + 1) * deployed.n) <= _ROOM
 
 
 def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float) -> Deviations | None:
     """Enclose the mean square deviations. Assumes Y - F' Y F > delta Y and Y > I to be shown, the centre's Y last.
 
-    None where the noise does not die out within 100,000 steps, or leaves the range of doubles.
+    None where the noise does not die out in reasonable time, or is too near the ends of the range of doubles.
     Source: the derivation above; docs/certificate.md, `performance`.
     """
     steps = _Steps(network, Y)
@@ -74,9 +77,10 @@ def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float
     traces, longest = _squares(X), X[0].size
     x = _norms(X)
     whole = last = size = steps.squared(x)
-    count = 0
+    count = work = 0
     while size > _LEFT * delta * whole:
-        if count == _MOST_STEPS or not np.isfinite(size):
+        work += X.size
+        if work > _MOST_WORK or not np.isfinite(size):
             return None
         if size <= _FALLEN * last:
             X, lost = steps.fewer_columns(X, x, _LEFT * delta * whole)
@@ -85,8 +89,10 @@ def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float
         x, squares = _norms(X), _squares(X)
         traces, bound, size = traces + squares, bound + steps.change(x, r), steps.squared(x)
         whole, count = whole + size, count + 1
-    error = _RAISED * (bound + size) / delta + 4 * (longest + count) * _U * float(traces.sum())
-    return Deviations(traces, error) if np.isfinite(error) else None
+    total = float(traces.sum())
+    error = _RAISED * (bound + size) / delta + 4 * (longest + count) * _U * total
+    safe = total > _SMALLEST and steps.weight.max() < _LARGEST and np.isfinite(error)
+    return Deviations(traces, error) if safe else None
 
 
 class _Steps:
@@ -115,7 +121,7 @@ class _Steps:
     def change(self, x: Float[ndarray, " K"], r: Float[ndarray, " K"]) -> float:
         """A bound of |X X' - (X + R)(X + R)'|_Y from the norms of X + R and of R."""
         square = self.squared(r)
-        return _RAISED * (2 * np.sqrt(self.squared(x) * square) + square)
+        return _RAISED * (2 * np.sqrt(self.squared(x)) * np.sqrt(square) + square)
 
     def mixed(self, X: Float[ndarray, "K n m"]) -> Float[ndarray, "K n m"]:
         """U X, U = diag(W' (x) I, I)."""
@@ -143,7 +149,10 @@ class _Steps:
         m = X.shape[2]
         flat = X.reshape(-1, m)
         scaled = flat * np.sqrt(np.repeat(self.weight, X.shape[1]))[:, None]
-        energy, V = np.linalg.eigh(scaled.T @ scaled)
+        try:
+            energy, V = np.linalg.eigh(scaled.T @ scaled)
+        except np.linalg.LinAlgError:
+            return X, 0.0
         out = int(np.searchsorted(np.cumsum(np.maximum(energy, 0)), spare))
         if out < m // 8:
             return X, 0.0
@@ -164,7 +173,7 @@ class _Steps:
             for Z in (P @ L, abs(P) @ abs(L), abs(P) @ sparse.diags_array(np.sqrt(doubt)))
         )
         far = _norms(rough)  # |p' S q| <= sqrt(p' D p q' D q) for +-S <= D
-        tilt, c = centre.tilt, 4 * (H.shape[2] + n + 8) * _U
+        tilt, c = centre.tilt, 4 * (H.shape[2] + n + centre.tilt.shape[1] + 8) * _U
         E, E_error = H @ H[N].T, _RAISED * (_norms(c * spread @ spread[N].T) + far * far[N])
         K, K_error = tilt @ (tilt.T @ F0), c * _norm(np.abs(tilt) @ (np.abs(tilt).T @ np.abs(F0)))
         E_norms = _norms(E)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from tolnet.certificates import statements
@@ -10,7 +10,7 @@ from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.eigenpair import validate
 from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.filter_claims import FILTER_CLAIMS, ExactFilters, verify
-from tolnet.certificates.numerals import vector
+from tolnet.certificates.numerals import require_exact, vector
 from tolnet.certificates.performance import verify_performance
 
 
@@ -26,10 +26,29 @@ def verify_claims(claims: Sequence[dict[str, Any]], deployed: Deployed) -> list[
     for claim in claims:
         verifier = _verifier(claim)
         try:
+            for text in _numerals(claim):
+                require_exact(text)
             found.append(verify(claim, filters) if verifier is None else verifier(network, claim))
         except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
             found.append(f"it is malformed: {error}")
     return found
+
+
+_WORDS = ("claim", "node", "verdict", "statement", "reason", "method", "of", "block")
+"""Keys whose texts are no numbers."""
+
+
+def _numerals(thing: Any) -> Iterator[str]:
+    """The texts of numbers in a claim."""
+    if isinstance(thing, str):
+        yield thing
+    elif isinstance(thing, list):
+        for part in thing:
+            yield from _numerals(part)
+    elif isinstance(thing, dict):
+        for key, part in thing.items():
+            if key not in _WORDS:
+                yield from _numerals(part)
 
 
 def _verifier(claim: dict[str, Any]) -> Callable[[ExactNetwork, dict[str, Any]], str | None] | None:
