@@ -5,9 +5,10 @@ import pytest
 from tests.instances import ring_projectile
 from tests.instances_random import random_network
 
-from tolnet.analysis import simulation
+from tolnet.analysis import least_favourable_model, simulate_least_favourable, simulation
 from tolnet.analysis.simulation import simulate_filters
 from tolnet.design import choose_tolerances, diffusion_matrix
+from tolnet.model import SensorNetwork
 
 
 @pytest.mark.parametrize("instance", ["ring", "directed"])
@@ -59,17 +60,60 @@ def test_progress_counts_runs():
 def test_runs_that_leave_the_range_of_doubles_are_counted_apart(monkeypatch):
     network = ring_projectile()
     table, W = choose_tolerances(network, 0.02), diffusion_matrix(network)
-    honest = simulation.simulate_least_favourable
+    honest = simulation.disturb
 
     def spoilt(model, rng, *, runs):
-        drawn = honest(model, rng, runs=runs)
-        drawn.y[1, 0] = 1e300
-        return drawn
+        for t, at in enumerate(honest(model, rng, runs=runs)):
+            at.output[0] += 1e300 * (t == 1)
+            yield at
 
-    monkeypatch.setattr(simulation, "simulate_least_favourable", spoilt)
+    monkeypatch.setattr(simulation, "disturb", spoilt)
     found = simulate_filters(table, W, runs=100, steps=3, filters=["KFC"])["KFC"]
     assert found.diverged == 2
     assert found.mse[-1] == pytest.approx(found.bound[-1], rel=0.5)
+
+
+def test_the_errors_of_an_unstable_plant_keep_their_digits():
+    """rho(A) = 1.2: after 400 steps the state is 1e31 and more, the error as large as ever."""
+    network = SensorNetwork(
+        A=[[1.2, 0.1], [0.0, 1.1]], Q=np.eye(2), C=[[[1.0, 0.0]], [[0.0, 1.0]]], R=[[[1.0]]] * 2, edges=[[0, 1]]
+    )
+    found = simulate_filters(choose_tolerances(network, 0.01), diffusion_matrix(network), runs=300, steps=400)
+    for result in found.values():
+        z = (result.mse[[40, 200, 400]] - result.bound[[40, 200, 400]]) / result.standard_error[[40, 200, 400]]
+        assert np.abs(z).max() < 4.5
+        assert result.diverged == 0
+
+
+def test_a_moving_origin_changes_no_error():
+    """One filter by hand on the states and outputs themselves, on the same draws."""
+    network = ring_projectile()
+    table, W = choose_tolerances(network, 0.02), diffusion_matrix(network)
+    runs, steps = 50, 12
+    found = simulate_filters(table, W, runs=runs, steps=steps, filters=["RKFDNU2"], seed=3)["RKFDNU2"]
+    model = least_favourable_model(network, table.central, steps + 1)
+    child = np.random.SeedSequence(3).spawn(1)[0]
+    drawn = simulate_least_favourable(model, np.random.default_rng(child), runs=runs)
+    schedule = simulation._schedule(table, W, simulation.kinds(["RKFDNU2"])[0], steps)
+    weights = simulation._output_weights(network)
+    K, n = schedule.AZ.shape[1], network.n
+    estimate = np.broadcast_to(network.initial_mean, (K, runs, n))
+    for t in range(steps + 1):
+        error = drawn.x[t] - estimate
+        np.testing.assert_allclose((error**2).sum(axis=2).mean(axis=1), found.node_mse[t], rtol=1e-9)
+        if t == steps:
+            break
+        each = [drawn.y[t][:, rows] @ weights[rows] for rows in _rows(network)]
+        heard = schedule.side.heard.toarray()
+        sensed = np.einsum("kl,lrn->krn", heard, np.array(each))
+        innovation = sensed - estimate @ schedule.side.S
+        psi = estimate @ network.A.T + innovation @ schedule.AZ[t].mT
+        psi = psi + (0.0 if network.input is None else network.input)
+        estimate = np.einsum("kl,lrn->krn", schedule.side.mixing.toarray(), psi)
+
+
+def _rows(network):
+    return [slice(network.rows[k], network.rows[k + 1]) for k in range(network.N)]
 
 
 @pytest.mark.parametrize("bad", [{"runs": 1, "steps": 3}, {"runs": 5, "steps": 0}])

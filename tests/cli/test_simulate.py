@@ -79,14 +79,14 @@ def test_every_format_says_the_same(tolnet: Tolnet, small: Path, tmp_path: Path)
 def test_runs_that_leave_the_range_of_doubles_are_no_answer(
     tolnet: Tolnet, small: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    honest = simulation.simulate_least_favourable
+    honest = simulation.disturb
 
     def spoilt(model, rng, *, runs):
-        drawn = honest(model, rng, runs=runs)
-        drawn.y[1, 0] = 1e300
-        return drawn
+        for t, at in enumerate(honest(model, rng, runs=runs)):
+            at.output[0] += 1e300 * (t == 1)
+            yield at
 
-    monkeypatch.setattr(simulation, "simulate_least_favourable", spoilt)
+    monkeypatch.setattr(simulation, "disturb", spoilt)
     ran = tolnet("simulate", small, *FEW, "--filters", "KFC", "--json")
     assert ran.code == 4
     each = ran.document["filters"]["KFC"]

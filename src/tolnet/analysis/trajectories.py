@@ -35,6 +35,17 @@ class Instant(NamedTuple):
     """The outputs of all sensors, packed as in the network."""
 
 
+class Disturbance(NamedTuple):
+    """What one time step does to many runs, wherever their states are."""
+
+    e: Float[ndarray, "runs n"]
+    """The error of the centralised robust filter."""
+    output: Float[ndarray, "runs M"]
+    """y - C x."""
+    state: Float[ndarray, "runs n"]
+    """x+ - A x - r."""
+
+
 class Trajectories(NamedTuple):
     """The same for every time step."""
 
@@ -67,15 +78,27 @@ def walk(model: LeastFavourableModel, rng: Generator, *, runs: int) -> Iterator[
     that e is stationary; a time-varying one with e_0 ~ N(0, V_0), V_0 the network's initial covariance.
     Raises ValueError where the model does not exist. Source: eq. (34).
     """
+    network = model.network
+    constant = 0.0 if network.input is None else network.input
+    x = None
+    for e, output, state in disturb(model, rng, runs=runs):
+        x = network.initial_mean + e if x is None else x
+        yield Instant(x, e, x @ network.C.T + output)
+        x = x @ network.A.T + constant + state
+
+
+def disturb(model: LeastFavourableModel, rng: Generator, *, runs: int) -> Iterator[Disturbance]:
+    """Draw what drives such trajectories: it stays of one size where an unstable plant runs out of all doubles.
+
+    Raises ValueError where the model does not exist. Source: eq. (34); `walk` says where e starts.
+    """
     if not model.exists:
         raise ValueError(f"there is no least favourable model to draw from: {model.reason}")
     network = model.network
     steady = model.horizon is None
     covariance = model.error_covariance if steady else network.initial_covariance
     e = rng.normal(size=(runs, network.n)) @ psd_factor(covariance).T
-    x = network.initial_mean + e
     noise = _Noise(network)
-    constant = 0.0 if network.input is None else network.input
     t = 0
     while steady or t < len(model.theta):
         at = model if steady else model[t]
@@ -83,8 +106,7 @@ def walk(model: LeastFavourableModel, rng: Generator, *, runs: int) -> Iterator[
         AZ = network.A @ at.filtered
         m = w - nu @ AZ.T
         q = e @ at.steering.T + m @ at.tilt_root.T
-        yield Instant(x, e, x @ network.C.T + v - q @ AZ @ network.C.T)
-        x = x @ network.A.T + constant + w + q @ network.Q
+        yield Disturbance(e, v - q @ AZ @ network.C.T, w + q @ network.Q)
         e = e @ at.loop.T + m + q @ at.noise
         t += 1
 
