@@ -30,6 +30,7 @@ _CHECK_EVERY = 8
 _GROWN = 1e15
 """A sum of terms that is so much larger than the first has no limit that would prove anything."""
 _SHARE_UPDATES = 40
+_NARROWINGS = 5
 
 Progress = Callable[[int, int], None]
 
@@ -52,6 +53,14 @@ def block_candidate(
     Costa, M. D. Fragoso, R. P. Marques, Discrete-Time Markov Jump Linear Systems, 2005).
     """
     N, n, _ = M.shape
+    return _fixed_point(_block_map(M, mixing, dual), N, n, progress)
+
+
+def _block_map(
+    M: Float[ndarray, "N n n"], mixing: sparse.csr_array, dual: bool
+) -> Callable[[Float[ndarray, "N n n"]], Float[ndarray, "N n n"]]:
+    """T, or T*."""
+    N, n, _ = M.shape
     size = abs(mixing).tocsr()
     sigma = np.asarray(size.sum(axis=1))[:, None]
 
@@ -62,7 +71,31 @@ def block_candidate(
         moved = (M @ X @ M.mT).reshape(N, -1)
         return (sigma * (size @ moved)).reshape(N, n, n)
 
-    return _fixed_point(image, N, n, progress)
+    return image
+
+
+def wide_candidate(
+    M: Float[ndarray, "N n n"], mixing: sparse.csr_array, *, dual: bool = False, part: float = 1.0
+) -> Float[ndarray, "N n n"] | None:
+    """The same with a margin, X - T(X) >= delta X, near the largest or a part of that: one less T's spectral radius.
+
+    X = T(X) / s + E has the margin 1 - s for every s above that radius, which is found by bisection of log(1 - s).
+    The nearer to the largest, the nearer is X to an eigenvector of T, which may be nearly singular.
+    """
+    found = block_candidate(M, mixing, dual=dual)
+    if found is None:
+        return None
+    least = 1 - _largest_ratio(found, _block_map(M, mixing, dual)(found))
+    if not 0 < least < 1:
+        return found
+    low, high = np.log(least), 0.0
+    for _ in range(_NARROWINGS):
+        middle = (low + high) / 2
+        X = block_candidate(M / np.sqrt(1 - np.exp(middle)), mixing, dual=dual)
+        low, high, found = (low, middle, found) if X is None else (middle, high, X)
+    if part < 1:
+        return block_candidate(M / np.sqrt(1 - part * np.exp(low)), mixing, dual=dual)
+    return found
 
 
 def power_candidate(

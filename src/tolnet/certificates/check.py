@@ -656,7 +656,7 @@ def examine(claim: Any, at: Deployment | Channels) -> Finding:
     """What is to be said of one claim."""
     given = claim if isinstance(claim, dict) else {}
     texts = map(given.get, ("claim", "verdict", "statement", "reason", "node"))
-    name, verdict, statement, reason, who = (text[:300] if isinstance(text, str) else "" for text in texts)
+    name, verdict, statement, reason, who = (_shown(text) if isinstance(text, str) else "" for text in texts)
     node = given["node"] if type(given.get("node")) is int else who or None
     try:
         result, reason = ("undecided", reason) if verdict == "undecided" else _judge(given, name, verdict, at)
@@ -665,6 +665,10 @@ def examine(claim: Any, at: Deployment | Channels) -> Finding:
     except Declined as declined:
         result, reason = "not checked here", str(declined)
     return Finding(name, node, verdict, result, statement, reason)
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= 500 else f"{text[:497]}..."
 
 
 def _judge(claim: dict[str, Any], name: str, verdict: str, at: Deployment | Channels) -> tuple[str, str | None]:

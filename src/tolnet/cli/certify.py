@@ -150,8 +150,15 @@ def certify(
     if _unstable(verdicts):
         written += _advise(subject, stable_weights, console)
     console.wrote(written)
-    options = repeated(tolerance=tolerance, convention=convention, diffusion=diffusion, precision=_unless(precision))
-    console.suggest(*_next_commands(shlex.quote(problem), options, outputs, table))
+    if stable_weights is not None and stable_weights not in written:
+        console.note(f"{stable_weights} is not written: no network was refuted, or no stable weights were found")
+    deployment = repeated(
+        tolerance=tolerance, convention=convention, diffusion=diffusion, precision=_unless(precision)
+    )
+    asked = repeated(claims=claims, rate=rate, scenarios=scenarios, **{"drop-links": drop_links}, table=table)
+    console.suggest(
+        *_next_commands(shlex.quote(problem), deployment, asked, verdicts, outputs, table, stable_weights)
+    )
     answers = {verdict.verdict for verdict in verdicts}
     if "refuted" in answers:
         raise typer.Exit(REFUTED)
@@ -371,7 +378,8 @@ def _advise(subject: Subject, path: Path | None, console: Console) -> list[Path]
 
     with console.progress("weights nearby that are stable"):
         repaired = subject.evidence.stable_weights_nearby()
-    console.show(*instability_view(subject.deployed, subject.evidence.growth, repaired))
+    view = instability_view(subject.deployed, subject.evidence.growth, repaired, written=path is not None)
+    console.show(*view)
     if path is None or repaired is None:
         return []
     from tolnet import model
@@ -390,10 +398,26 @@ def _unless(precision: str) -> str | None:
     return None if precision == "float64" else precision
 
 
-def _next_commands(problem: str, options: str, outputs: Sequence[Path], table: Path | None) -> Iterator[str]:
+def _next_commands(
+    problem: str,
+    deployment: str,
+    asked: str,
+    verdicts: Sequence[Verdict],
+    outputs: Sequence[Path],
+    table: Path | None,
+    stable_weights: Path | None,
+) -> Iterator[str]:
     if outputs:
-        against = f" --table {shlex.quote(str(table))}" if table else ""
-        yield f"tolnet check {shlex.quote(str(outputs[0]))} --problem {problem}{against}"
+        tied = table is not None or any(v.claim == "steady-state" and v.verdict == "proved" for v in verdicts)
+        against = f" --problem {problem}{repeated(table=table)}{deployment}"
+        yield f"tolnet check {shlex.quote(str(outputs[0]))}{against if tied else ''}"
     else:
-        yield f"tolnet certify {problem}{options} -o certificate.json"
-    yield f"tolnet certify {problem}{options} --claims switching --drop-links 1"
+        yield f"tolnet certify {problem}{deployment}{asked} -o certificate.json"
+    if _unstable(verdicts):
+        if stable_weights is None:
+            yield f"tolnet certify {problem}{deployment} --stable-weights mended.toml"
+        elif stable_weights.suffix.lower() == ".toml":
+            yield f"tolnet certify {shlex.quote(str(stable_weights))}"
+    elif not any(v.claim == "switching" for v in verdicts):
+        against = repeated(table=table)
+        yield f"tolnet certify {problem}{deployment}{against} --claims switching --drop-links 1"

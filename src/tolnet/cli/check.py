@@ -11,7 +11,17 @@ import typer
 
 from tolnet.cli.console import Console, complain
 from tolnet.cli.documents import render
-from tolnet.cli.options import AsJson, Quiet, Rule, check_outputs, open_corrupted, open_problem
+from tolnet.cli.options import (
+    AsJson,
+    Quiet,
+    Rule,
+    Tolerance,
+    Unit,
+    check_outputs,
+    choose_ambiguity,
+    open_corrupted,
+    open_problem,
+)
 
 if TYPE_CHECKING:
     from tolnet.certificates.deployed import Deployed
@@ -41,6 +51,8 @@ def check(
     table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Does it speak of this table (.npz, full .json)?")
     ] = None,
+    tolerance: Tolerance = None,
+    convention: Unit = None,
     diffusion: Rule = None,
     precision: Annotated[
         Literal["float64", "float32"], typer.Option(help="What the device computes in: the table is rounded to it.")
@@ -63,7 +75,8 @@ def check(
     document = _load(certificate)
     rows = [*_judged(document, certificate, console)]
     if problem is not None:
-        rows = [*rows, *_compared(document, rows, problem, table, diffusion, precision, console)]
+        own = tolerance, convention
+        rows = [*rows, *_compared(document, rows, problem, table, own, diffusion, precision, console)]
     counts = {result: sum(row.result == result for row in rows) for result in ("valid", "invalid")}
     status = "invalid" if counts["invalid"] else "ok" if counts["valid"] == len(rows) else "not-checked"
     console.document([render(_document(document, rows, status))])
@@ -150,6 +163,7 @@ def _compared(
     rows: Sequence[Row],
     problem: str,
     table: Path | None,
+    tolerance: tuple[float | None, Literal["gamma", "nats"] | None],
     diffusion: str | None,
     precision: str,
     console: Console,
@@ -168,6 +182,10 @@ def _compared(
         return
     network = open_problem(problem, console)
     stored = None if table is None else read_deployed(table)
+    if stored is not None and (tolerance[0] is not None or diffusion is not None):
+        raise InputError("--table holds the tolerance and the weights; --tolerance and --diffusion were not expected")
+    own = network.ambiguity if tolerance[0] is None else choose_ambiguity(network, *tolerance, None)
+    whole = stored.tolerance if stored is not None else None if own is None else own.gamma
     data, claims = document["data"], document["claims"]
     try:
         deployed = _deployment(network, stored, diffusion, precision)
@@ -190,8 +208,12 @@ def _compared(
     central = _stated_centre(claims, rows, network, stored)
     if data["centre"] is not None and central is not None:
         yield _row("least favourable model", problem, _worst_case(data, network, central), _WORST)
-    wrong = list(_numbers_of_claims(claims, network, stored))
-    yield _row("claims", problem, wrong, "tolerances and initial covariances are those of the deployment")
+    elif data["centre"] is not None:
+        text = "not compared: no claim states the centre's steady state; --table FILE holds it"
+        yield Row("least favourable model", problem, "not checked here", text)
+    if any("c" in claim for claim in claims):
+        wrong = list(_numbers_of_claims(claims, network, stored, whole))
+        yield _row("claims", problem, wrong, "tolerances and initial covariances are those of the deployment")
 
 
 def _gains_without_table(claims: Any, rows: Sequence[Row], nodes: int, problem: str) -> Row:
@@ -283,14 +305,14 @@ def _worst_case(data: Any, network: SensorNetwork, central: SteadyState) -> list
     return [name for name, (a, b) in pairs.items() if not np.abs(a - b).max() <= _ALIKE * np.abs(b).max()]
 
 
-def _numbers_of_claims(claims: Any, network: SensorNetwork, stored: DeployedTable | None) -> Iterator[str]:
+def _numbers_of_claims(
+    claims: Any, network: SensorNetwork, stored: DeployedTable | None, whole: float | None
+) -> Iterator[str]:
     """The tolerances and initial covariances of claims that are not those of the deployment."""
     import numpy as np
 
     from tolnet.certificates.numerals import symmetric_matrix
 
-    own = None if network.ambiguity is None else network.ambiguity.gamma
-    whole = own if stored is None else stored.tolerance
     for i, claim in enumerate(claims):
         if claim.get("verdict") == "undecided" or "c" not in claim:
             continue

@@ -149,7 +149,16 @@ def diffusion(
     if found.interrupted:
         console.note("interrupted: these are the best weights so far")
     options = repeated(tolerance=tolerance, convention=convention)
-    console.suggest(*_next_commands(shlex.quote(problem), options, found, outputs, compare))
+    asked = {
+        "nodes": nodes,
+        "max-neighbours": max_neighbours,
+        "own-weight": own_weight or None,
+        "symmetric": symmetric,
+        "method": None if method == "auto" else method,
+        "scenario-tolerance": scenario_tolerance,
+        "without-link": without_link,
+    }
+    console.suggest(*_next_commands(shlex.quote(problem), options, repeated(**asked), found, outputs, compare))
     if not found.status.has_numbers:
         complain([f"{found.status}: {found.reason}"], "no answer")
         raise typer.Exit(NO_ANSWER)
@@ -251,12 +260,16 @@ def _write(found: Diffusion, document: dict, path: Path) -> None:
             write(path, [render(document)])
 
 
-def _next_commands(problem: str, options: str, found: Diffusion, outputs: list[Path], compare: bool) -> Iterator[str]:
+def _next_commands(
+    problem: str, options: str, asked: str, found: Diffusion, outputs: list[Path], compare: bool
+) -> Iterator[str]:
     designed = [path for path in outputs if path.suffix.lower() == ".toml"]
     if designed:
         yield f"tolnet performance {shlex.quote(str(designed[0]))}{options}"
     else:
-        yield f"tolnet diffusion {problem}{options} --objective {found.objective} -o designed.toml --plot weights.png"
+        gains = "" if found.gains is None else " --with-gains"
+        design = f"{options} --objective {found.objective}{asked}{gains}"
+        yield f"tolnet diffusion {problem}{design} -o designed.toml --plot weights.png"
     if found.objective == "msd" and found.gains is None:
         yield f"tolnet diffusion {problem}{options} --with-gains"
     if not compare:

@@ -21,6 +21,7 @@ from tolnet.analysis.stability_candidates import (
     network_radius,
     power_candidate,
     switching_candidate,
+    wide_candidate,
 )
 from tolnet.certificates import statements
 from tolnet.certificates.eigenpair import refute_by_eigenpair
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
 
 _FULL_UP_TO = 1500
 """Dimension N n up to which one dense Lyapunov matrix is tried; it is part of the certificate."""
+_PART = 0.5
+"""Of the largest margin, for the dual matrices: mean square deviations need them far from singular too."""
 _POWERS_UP_TO = 400
 _POWERS = (2, 4)
 _CLOSE = 1.002
@@ -94,12 +97,12 @@ class Evidence:
     @cached_property
     def primal(self) -> ndarray | None:
         """X with X - T(X) > 0."""
-        return block_candidate(self.loops, self.deployed.mixing)
+        return wide_candidate(self.loops, self.deployed.mixing)
 
     @cached_property
     def dual(self) -> ndarray | None:
         """Y with Y - T*(Y) > 0."""
-        return block_candidate(self.loops, self.deployed.mixing, dual=True)
+        return wide_candidate(self.loops, self.deployed.mixing, dual=True, part=_PART)
 
     @cached_property
     def growth(self) -> tuple[Literal["network", "centre"], Growth] | None:
@@ -173,7 +176,8 @@ class Evidence:
         weights = np.asarray(found.W[heard.neighbours, heard.hearer]).ravel()
         other = Evidence(replace(heard, weights=weights))
         centre = None if self.centre_loop is None else full_candidate(self.centre_loop)
-        verdict = prove_stability(other.exact, Candidate("primal", found.X, centre))
+        X = found.X if other.primal is None else other.primal
+        verdict = prove_stability(other.exact, Candidate("primal", X, centre))
         return found._replace(margin=verdict.margin or 0.0) if isinstance(verdict, Proved) else None
 
     def decay_rate(self, rate: float | None, progress: Progress | None = None) -> Verdict:
@@ -190,7 +194,10 @@ class Evidence:
         block = "network" if self.deployed.centre is None else "F"
         statement = statements.decay_rate(block, r)
         keys = {"block": block, "rate": number_text(r)}
-        return Undecided("decay-rate", statement, "no candidate was found", keys=keys)
+        reason = f"no candidate was found; the spectral radius of the network block is {self.radius:.6g}"
+        if self.centre_loop is not None:
+            reason += f", of the least favourable block {np.abs(np.linalg.eigvals(self.centre_loop)).max():.6g}"
+        return Undecided("decay-rate", statement, f"{reason} in floating point", keys=keys)
 
     def _rates(self) -> Iterator[float]:
         """Rates to try, rising: close to the spectral radius, then what the block-wise condition reaches."""

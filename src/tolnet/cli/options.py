@@ -194,9 +194,9 @@ def check_family(ambiguity: Ambiguity, *, uniform: bool) -> None:
 
 def repeated(**given: object) -> str:
     """Options as they were given, to stand in a command that is suggested; those that were not given are left out."""
-    words = [
-        f" --{name}" + ("" if value is True else f" {shlex.quote(str(value))}")
-        for name, value in given.items()
-        if value is not None and value is not False
-    ]
+    words = []
+    for name, value in given.items():
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if each is not None and each is not False:
+                words.append(f" --{name}" + ("" if each is True else f" {shlex.quote(str(each))}"))
     return "".join(words)

@@ -22,7 +22,7 @@ _KEYS = ("drop", "weights", "triples", "table")
 
 
 def read_scenarios(path: Path, deployed: Deployed) -> list[Scenario]:
-    """The scenarios of a JSON file `{"scenarios": [...]}`, each an object with some of
+    """The scenarios of a JSON file `{"scenarios": [...]}`, or of the list alone, each an object with some of
 
         drop      [[l, k], ...], links that dropped; stands alone
         weights   W, N x N, w[l][k] weighing neighbour l at node k
@@ -37,7 +37,7 @@ def read_scenarios(path: Path, deployed: Deployed) -> list[Scenario]:
         raise InputError(f"cannot be read: {error.strerror or error}", source=str(path)) from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON: {error}", source=str(path)) from None
-    listed = document.get("scenarios") if isinstance(document, dict) else None
+    listed = document.get("scenarios") if isinstance(document, dict) else document
     if not isinstance(listed, list) or not listed:
         raise InputError([Complaint("scenarios", "is no list; at least one scenario was expected")], source=str(path))
     found, complaints = [], []

@@ -128,15 +128,15 @@ def _what_if(members: Sequence[Verdict]) -> str:
             return f" The deployed gains are within {error:.1e} (relative) of the exact ones."
         case "tolerance":
             intervals = [list(map(float.fromhex, verdict.keys["interval"].split(" "))) for verdict in members]
-            widest = max((high - low) / 2 / high for low, high in intervals if high > 0) if intervals else 0.0
+            widest = max(((high - low) / 2 / high for low, high in intervals if high > 0), default=0.0)
             return f" No interval is wider than +-{widest:.1e} of its c_k."
     return ""
 
 
 def instability_view(
-    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: StableWeights | None
+    deployed: Deployed, growth: tuple[str, Growth] | None, repaired: StableWeights | None, *, written: bool
 ) -> Iterator[RenderableType]:
-    """Which nodes carry the unstable mode, and which weights nearby are proved stable."""
+    """Which nodes carry the unstable mode, and which weights nearby are proved stable (`written` or not)."""
     network = deployed.network
     if growth is not None and growth[0] == "network":
         found = growth[1]
@@ -163,4 +163,5 @@ def instability_view(
         yield f"  node {network.label(k)} weighs {weights}"
     if len(changed) > _NAMED_AT_MOST:
         yield f"  ... and {len(changed) - _NAMED_AT_MOST} more nodes"
-    yield "  --stable-weights FILE.toml writes the problem with them"
+    if not written:
+        yield "  --stable-weights FILE.toml writes the problem with them"

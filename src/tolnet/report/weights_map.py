@@ -61,7 +61,7 @@ def _draw_weights(axes: Axes, found: Diffusion, xy: Float[ndarray, "N 2"]) -> No
     J = network.adjacency.tocoo()
     links = J.row != J.col
     l, k = J.row[links], J.col[links]
-    w = np.asarray(found.W[l, k]).ravel()
+    w = np.asarray(found.W[l, k]).ravel() if l.size else np.empty(0)
     idle = w < _NEGLIGIBLE
     unused = np.stack([xy[l[idle]], xy[k[idle]]], axis=1)
     axes.add_collection(
