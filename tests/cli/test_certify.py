@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -110,6 +112,83 @@ def test_a_certificate_speaks_of_one_deployment(tolnet: Tolnet, small: Path, cer
     assert "claims[1].c" in ran.err
     ran = tolnet("check", certificate, "--problem", small, "--diffusion", "uniform")
     assert (ran.code, "weights" in ran.err) == (1, True)
+
+
+def suggested(ran: Any) -> list[list[str]]:
+    """The commands after "next:", as words."""
+    lines = ran.out.partition("next:\n")[2].splitlines()
+    return [shlex.split(line)[1:] for line in lines if line.startswith("  tolnet ")]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--tolerance", "0.05"],
+        ["--tolerance", "0"],
+        ["--tolerance", "0.01", "--convention", "nats"],
+        ["--diffusion", "uniform"],
+        ["--precision", "float32"],
+        ["--claims", "performance"],
+        ["--claims", "switching", "--drop-links", "1"],
+    ],
+)
+def test_the_next_command_succeeds(tolnet: Tolnet, small: Path, tmp_path: Path, options: list[str]):
+    path = tmp_path / "c.json"
+    without = suggested(tolnet("certify", small, *options))[0]
+    assert without[:2] == ["certify", str(small)]
+    ran = tolnet(*without[:-1], path)
+    assert ran.code == 0
+    assert verdicts(json.loads(path.read_text())) == verdicts(tolnet("certify", small, *options, "--json").document)
+    for command in suggested(ran)[:1]:
+        assert command[0] == "check"
+        assert tolnet(*command).code == 0, command
+
+
+def test_the_next_command_of_a_refuted_network_mends_it(tolnet: Tolnet, tmp_path: Path):
+    mended = tmp_path / "mended.toml"
+    ran = tolnet("certify", "unstable-path")
+    command = suggested(ran)[1]
+    assert command[-2:] == ["--stable-weights", "mended.toml"]
+    ran = tolnet(*command[:-1], mended)
+    assert "writes the problem with them" not in ran.out
+    margin = float(re.findall(r"with a margin of ([0-9.e-]+):", ran.out)[0])
+    again = tolnet(*suggested(ran)[1], "--json")
+    assert again.code == 0
+    stability = next(claim for claim in again.document["claims"] if claim["claim"] == "schur-stability")
+    assert stability["margin"] == pytest.approx(margin, rel=0.02)
+
+
+def test_stable_weights_that_nobody_needs_are_named(tolnet: Tolnet, small: Path, tmp_path: Path):
+    mended = tmp_path / "mended.csv"
+    ran = tolnet("certify", small, "--claims", "schur-stability", "--stable-weights", mended)
+    assert ran.code == 0
+    assert "mended.csv is not written" in ran.out + ran.err
+    assert not mended.exists()
+
+
+def test_a_model_that_was_not_compared_is_not_said_to_be(tolnet: Tolnet, small: Path, tmp_path: Path):
+    """Performance at another tolerance: nothing in the certificate ties its model to the problem."""
+    path = tmp_path / "c.json"
+    assert tolnet("certify", small, "-c", "0.0001", "--claims", "performance", "-o", path).code == 0
+    ran = tolnet("check", path, "--problem", small, "--json")
+    assert ran.code == 3
+    found = {row["claim"]: row["result"] for row in ran.document["findings"]}
+    assert found["least favourable model"] == "not checked here"
+    assert "claims" not in found
+
+
+def test_the_tolerance_of_a_certificate_is_compared(tolnet: Tolnet, small: Path, tmp_path: Path):
+    path = tmp_path / "c.json"
+    assert tolnet("certify", small, "-c", "0.05", "-o", path).code == 0
+    assert tolnet("check", path, "--problem", small, "-c", "0.05").code == 0
+    for other in (["-c", "0.06"], []):
+        ran = tolnet("check", path, "--problem", small, *other)
+        assert (ran.code, "claims[1].c" in ran.err) == (1, True)
+    table = tmp_path / "t.npz"
+    assert tolnet("table", small, "-o", table).code == 0
+    ran = tolnet("check", path, "--problem", small, "--table", table, "-c", "0.05")
+    assert (ran.code, "--tolerance" in ran.err) == (2, True)
 
 
 def test_gains_of_a_problem_alone_are_not_compared(tolnet: Tolnet, small: Path, tmp_path: Path):

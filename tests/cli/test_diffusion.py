@@ -174,6 +174,25 @@ def test_bad_options_are_refused(options: list[str], said: str, tolnet: Tolnet, 
     assert said in ran.err
 
 
+def test_a_network_without_links_is_drawn(tolnet: Tolnet, tmp_path: Path):
+    path, picture = tmp_path / "one.toml", tmp_path / "w.png"
+    network = model.SensorNetwork(A=[[1.2]], Q=[[1.0]], C=[[[1.0]]], R=[[[1.0]]], ambiguity=model.Ambiguity(0.01))
+    model.save(network, path)
+    ran = tolnet("diffusion", path, "--plot", picture)
+    assert (ran.code, picture.exists()) == (0, True)
+
+
+def test_the_next_command_designs_the_same(tolnet: Tolnet, small: Path, tmp_path: Path):
+    options = ["--symmetric", "--own-weight", "0.2", "--tolerance", "0.03"]
+    ran = tolnet("diffusion", small, *options)
+    command = next(line for line in ran.out.splitlines() if "-o designed.toml" in line)
+    for option in ("--symmetric", "--own-weight 0.2", "--tolerance 0.03"):
+        assert option in command
+    ran = tolnet("diffusion", small, "--objective", "robust", "--without-link", "0-1", "--without-link", "1-2")
+    command = next(line for line in ran.out.splitlines() if "-o designed.toml" in line)
+    assert "--without-link 0-1 --without-link 1-2" in command
+
+
 def test_a_graph_in_pieces_cannot_mix_and_a_blind_node_has_no_answer(tolnet: Tolnet, blind: Path):
     ran = tolnet("diffusion", blind, "--objective", "mixing")
     assert ran.code == 2
