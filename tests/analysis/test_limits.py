@@ -155,3 +155,12 @@ def test_below_every_limit_everybody_settles():
 def test_a_window_shorter_than_the_state_is_refused():
     with pytest.raises(ValueError, match="window"):
         analysis.tolerance_limits(random_network(np.random.default_rng(1), 3, 2), window=2)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9, 1e12])
+def test_the_published_bound_needs_no_common_unit(unit: float):
+    """It depends on the units itself, through the largest eigenvalue of a covariance, but exists in all of them."""
+    A, Q, S = np.array([[1.0, 0.1], [0.0, 0.95]]), np.diag([0.01, 0.1]), np.diag([1.0, 0.0])
+    u = np.array([1.0, unit])
+    found = analysis.published_bound(A * u[:, None] / u, Q * u[:, None] * u, (S / u[:, None] / u)[None], 4)[0]
+    assert 1e-6 < found < 1e-2

@@ -187,6 +187,8 @@ def published_bound(
         omega = O.T @ R_O[:, :n]
         J = O_R - L @ H.T @ R_O[:, :n]
         M = L @ L.T - L @ H.T @ R_O[:, n:]
+        unit = np.sqrt(np.maximum(np.diagonal(omega), np.finfo(float).tiny))  # of the states, which may differ much
+        omega, J = omega / unit[:, None] / unit, J / unit
         spread = np.linalg.eigvalsh(omega)
         if usable[k] and spread[0] > 1e-13 * spread[-1]:
             largest = np.linalg.eigvalsh(stacked.symmetric_part(M + J @ np.linalg.solve(omega, J.T)))[-1]
