@@ -33,7 +33,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 SYMMETRIC_IN_LOOKS = {"_congruence", "_contains", "full", "zip", "_scaled"}
 NOT_MUTATED = {
-    *("_watched", "unwatched", "_line", "main"),  # what people see, not what is decided
+    *("watched", "_line", "_shown", "main"),  # what people see, not what is decided
     *("Clock", "_fits"),  # what is declined
 }
 OPPOSITE: dict[type, tuple[type, ...]] = {

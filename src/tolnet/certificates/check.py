@@ -216,9 +216,12 @@ def _pull(row: dict[int, Fraction]) -> dict[int, Fraction]:
     return {l: sigma * abs(w) for l, w in row.items()}
 
 
-def unwatched(label: str, count: int) -> Iterator[int]:
-    """No progress to see."""
-    return iter(range(count))
+def watched(label: str, count: int) -> Iterator[int]:
+    """range(count), with a line now and then for people at a terminal."""
+    for i in range(count):
+        if i % 10_000 == 9_999 and sys.stderr.isatty():
+            print(f"{label}: {i + 1:,} of {count:,}", file=sys.stderr)
+        yield i
 
 
 class Deployment:
@@ -687,7 +690,7 @@ def _judge(claim: dict[str, Any], name: str, verdict: str, at: Deployment | Chan
     return "valid", None
 
 
-def check(document: Any, watch: Watch = unwatched) -> list[Finding]:
+def check(document: Any, watch: Watch = watched) -> list[Finding]:
     """A finding for every claim of the document, as `load` returns it; Refused where it is no certificate."""
     Clock.end = process_time() + LONGEST
     try:
@@ -868,14 +871,6 @@ def exit_code(findings: list[Finding]) -> int:
     return 1 if "invalid" in results else 0 if results == {"valid"} else 3
 
 
-def _watched(label: str, count: int) -> Iterator[int]:
-    """range(count), with a line on standard error now and then."""
-    for i in range(count):
-        if i % 10_000 == 9_999:
-            print(f"{label}: {i + 1:,} of {count:,}", file=sys.stderr)
-        yield i
-
-
 def _line(finding: Finding) -> str:
     who = "" if finding.node is None else f" of {'node ' * isinstance(finding.node, int)}{finding.node}"
     text = finding.statement if finding.result == "valid" else finding.reason
@@ -890,7 +885,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     gc.disable()  # nothing here is cyclic, and a large certificate is millions of small objects
     try:
-        findings = check(load(options.certificate), _watched if sys.stderr.isatty() else unwatched)
+        findings = check(load(options.certificate))
     except (Refused, MemoryError) as refusal:
         print(ascii(str(refusal) or "out of memory")[1:-1], file=sys.stderr)
         return 2
