@@ -131,3 +131,17 @@ def test_windows_and_horizons_beyond_the_range_of_doubles(tolnet: Tolnet, tmp_pa
     assert "beyond the range of doubles" in ran.err
     assert tolnet("certify", fast, "--horizon", 800, "--form", "classical").code == 0
     assert tolnet("certify", saved(tmp_path / "a.toml", A=[[3.0, 0.0], [0.0, 4.0]]), "--horizon", 800).code == 3
+
+
+@pytest.mark.parametrize("options", [["--claims", "performance"], ["--drop-links", "1"], ["--tolerance", "0.02"]])
+def test_claims_of_constant_plants_are_not_for_moving_ones(tolnet: Tolnet, tmp_path: Path, options: list[str]):
+    path = tmp_path / "moving.toml"
+    moving = model.CorruptedNetwork(
+        A=[[[0.5]], [[0.25]]], Q=[[1.0]], C=[[[1.0]], [[1.0]]], R=[[[1.0]], [[2.0]]], edges=[[0, 1]]
+    )
+    model.save(moving, path)
+    ran = tolnet("certify", path, *options)
+    assert ran.code == 2
+    assert "varies with time (A)" in ran.err
+    assert "observability" in ran.err
+    assert tolnet("certify", path).code == 0

@@ -73,8 +73,16 @@ def speaks_of_channels(
             )
         return False
     is_file = not given["corrupted"] and Path(problem).exists()
-    if (others or given["exact"]) and is_file and (exact["tolerance"] or model.load(problem).ambiguity is not None):
-        return False
+    if (others or given["exact"]) and is_file:
+        moving = [letter for letter in "AQCR" if network.varying[letter].period != 1]
+        if moving:
+            asked = f"the claim {others[0]!r}" if others else given["exact"][0]
+            raise model.InputError(
+                f"varies with time ({', '.join(moving)}), and {asked} is of constant ones; {CLAIM!r} is of both",
+                source=problem,
+            )
+        if exact["tolerance"] or model.load(problem).ambiguity is not None:
+            return False
     if others:
         raise model.InputError(
             f"has corrupted channels; the claim for those is {CLAIM!r}, not {others[0]!r}", source=problem
