@@ -185,6 +185,8 @@ def test_the_tolerance_of_a_certificate_is_compared(tolnet: Tolnet, small: Path,
     for other in (["-c", "0.06"], []):
         ran = tolnet("check", path, "--problem", small, *other)
         assert (ran.code, "claims[1].c" in ran.err) == (1, True)
+    ran = tolnet("check", path, "-c", "0.05")
+    assert (ran.code, "--problem" in ran.err) == (2, True)
     table = tmp_path / "t.npz"
     assert tolnet("table", small, "-o", table).code == 0
     ran = tolnet("check", path, "--problem", small, "--table", table, "-c", "0.05")

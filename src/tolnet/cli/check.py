@@ -72,6 +72,8 @@ def check(
     check_outputs([], [], inputs=[str(certificate)])
     if table is not None and problem is None:
         raise InputError("--table is given without --problem; a table alone has no plant and no graph")
+    if tolerance is not None and problem is None:
+        raise InputError("--tolerance is given without --problem, whose own it replaces")
     document = _load(certificate)
     rows = [*_judged(document, certificate, console)]
     if problem is not None:

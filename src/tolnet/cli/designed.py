@@ -12,10 +12,10 @@ from tolnet.analysis.stability_candidates import full_candidate
 from tolnet.certificates.document import SCHEMA, certificate_json
 from tolnet.certificates.stability import Candidate, prove_stability
 from tolnet.certificates.verdicts import Undecided, Verdict
-from tolnet.cli.certify import deployed_of
 from tolnet.cli.console import Console
 from tolnet.cli.documents import write
 from tolnet.cli.evidence import Evidence
+from tolnet.cli.subject import deployed_of
 from tolnet.design.export import opening
 from tolnet.design.weights.gains import deployment_of
 from tolnet.model import Ambiguity, Diffusion

@@ -95,6 +95,11 @@ class Evidence:
         return network_radius(self.loops, self.deployed.mixing)
 
     @cached_property
+    def centre_radius(self) -> float:
+        """Spectral radius of F_e in floating point; 0 where no least favourable model is stated."""
+        return 0.0 if self.centre_loop is None else float(np.abs(np.linalg.eigvals(self.centre_loop)).max())
+
+    @cached_property
     def primal(self) -> ndarray | None:
         """X with X - T(X) > 0."""
         return wide_candidate(self.loops, self.deployed.mixing)
@@ -108,7 +113,7 @@ class Evidence:
     def growth(self) -> tuple[Literal["network", "centre"], Growth] | None:
         """What shows that some eigenvalue lies outside the unit circle, where floating point sees one."""
         centre = None if self.centre_loop is None else growth_candidate(self.centre_loop)
-        if centre is not None:
+        if centre is not None and centre.X is not None:
             return "centre", centre
         if self.dimension <= _FULL_UP_TO:
             found = growth_candidate(self.matrix)
@@ -128,11 +133,10 @@ class Evidence:
                 tried.append(verdict.reason)
         if self.growth is not None:
             of, growth = self.growth
-            for refute in self._refutations(of, growth):
-                refuted = refute()
-                if isinstance(refuted, Refuted):
-                    return refuted
-                tried.append(refuted.reason)
+            for verdict in self._refutations(of, growth):
+                if isinstance(verdict, Refuted):
+                    return verdict
+                tried.append(verdict.reason)
         return self._undecided_stability(tried)
 
     def _candidates(self, centre: ndarray | None) -> Iterator[Candidate]:
@@ -149,14 +153,11 @@ class Evidence:
         if (X := full_candidate(self.matrix)) is not None:
             yield Candidate("full", X, centre)
 
-    def _refutations(
-        self, of: Literal["network", "centre"], growth: Growth
-    ) -> Iterator[Callable[[], Refuted | Undecided]]:
-        X = growth.X
-        if X is not None:
-            yield lambda: refute_stability(self.exact, of, X, growth.v)
+    def _refutations(self, of: Literal["network", "centre"], growth: Growth) -> Iterator[Refuted | Undecided]:
+        if growth.X is not None:
+            yield refute_stability(self.exact, of, growth.X, growth.v)
         if of == "network":
-            yield lambda: refute_by_eigenpair(self.deployed, growth.eigenvalue, growth.mode)
+            yield refute_by_eigenpair(self.deployed, growth.eigenvalue, growth.mode)
 
     def _undecided_stability(self, tried: Sequence[str]) -> Undecided:
         block = "network" if self.deployed.centre is None else "F"
@@ -196,12 +197,12 @@ class Evidence:
         keys = {"block": block, "rate": number_text(r)}
         reason = f"no candidate was found; the spectral radius of the network block is {self.radius:.6g}"
         if self.centre_loop is not None:
-            reason += f", of the least favourable block {np.abs(np.linalg.eigvals(self.centre_loop)).max():.6g}"
+            reason += f", of the least favourable block {self.centre_radius:.6g}"
         return Undecided("decay-rate", statement, f"{reason} in floating point", keys=keys)
 
     def _rates(self) -> Iterator[float]:
         """Rates to try, rising: close to the spectral radius, then what the block-wise condition reaches."""
-        centre = 0.0 if self.centre_loop is None else float(np.abs(np.linalg.eigvals(self.centre_loop)).max())
+        centre = self.centre_radius
         radius = max(self.radius, centre)
         if self.dimension <= _FULL_UP_TO and radius > 0:
             yield float(f"{_CLOSE * radius:.4g}")
