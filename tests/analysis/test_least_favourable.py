@@ -78,7 +78,7 @@ def rounding_of_the_residual(network, central, found):
     """What m eps, m = 4 n, in every product and inverse allows of F R F' + N + N T N - R, in parts of |R|.
 
     F = A - G C + N Y and T are made of X ~ P^-1 and Z ~ R^-1, with |P X - I| <= m eps kappa(P) and so for R: for
-    Delta = R - P, Y = X Delta L' Z (the steering) moves N Y R F' by m eps (kappa(P) + kappa(R)) |N X| |Delta L'| |F| at
+    Delta = R - P, the steering Y = X Delta L' Z moves N Y R F' by m eps (kappa(P) + kappa(R)) |N X| |Delta L'| |F| at
     most, and so does its transpose; L = Z A' X once more by kappa(P). X T^-1 X = Delta^-1 + ..., so that N T N moves
     by m eps kappa(P) |N X|^2 |Delta|. Evaluating the sum rounds by m eps of its terms. To it, what the centre's own
     equation P = (A - G C) V (A - G C)' + N leaves.
