@@ -6,11 +6,18 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
+from tests import checked_shapes
 
-# Before tolnet is imported: from here on each shape annotation of the package is enforced at run time.
-install_import_hook(["tolnet"], "beartype.beartype")
+# Before tolnet is imported: from here on the shape annotations of the package are enforced at run time.
+checked_shapes.install("tolnet")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """The first calls of every function are checked in each test."""
+    checked_shapes.next_test()
+
 
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, database=None)
