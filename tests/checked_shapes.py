@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import functools
 import inspect
-import os
 from collections.abc import Callable
 from typing import Any
 
 import jaxtyping
+from tests.study import sized
 
 FIRST = 20
-EVERY = 1 if os.environ.get("TOLNET_STUDY") == "full" else 23
+EVERY = sized(23, 1)
 
 _enforce = jaxtyping.jaxtyped
 _test = [0]

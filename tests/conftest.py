@@ -7,11 +7,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
-from hypothesis import settings
-from tests import checked_shapes
+from tests import checked_shapes, study
 
 # Before tolnet is imported: from here on the shape annotations of the package are enforced at run time.
 checked_shapes.install("tolnet")
+study.load_hypothesis_profile()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -19,6 +19,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     checked_shapes.next_test()
 
 
-settings.register_profile("here", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, database=None)
-settings.load_profile("ci" if os.environ.get("CI") else "here")
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests of the study are for TOLNET_STUDY=full, the others for always."""
+    if not study.FULL:
+        left = [item for item in items if item.get_closest_marker("study")]
+        items[:] = [item for item in items if not item.get_closest_marker("study")]
+        config.hook.pytest_deselected(items=left)
