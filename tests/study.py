@@ -12,7 +12,8 @@ from typing import TypeVar
 from hypothesis import settings
 
 FULL = os.environ.get("TOLNET_STUDY") == "full"
-EXAMPLES, EXAMPLES_IN_FULL = 25, 300
+FAST, QUICK, MANY = 3, 25, 300
+"""Examples of Hypothesis in `make test-fast`, `make test` and `make study`."""
 
 T = TypeVar("T")
 
@@ -22,8 +23,9 @@ def sized(quick: T, full: T) -> T:
     return full if FULL else quick
 
 
-def load_hypothesis_profile() -> None:
+def load_hypothesis_profile(*, fast: bool) -> None:
     """No deadline, for loaded machines; the same examples in every run of `make test`, new ones in the study."""
-    settings.register_profile("quick", deadline=None, max_examples=EXAMPLES, derandomize=True, database=None)
-    settings.register_profile("study", deadline=None, max_examples=EXAMPLES_IN_FULL)
-    settings.load_profile(sized("quick", "study"))
+    settings.register_profile("fast", deadline=None, max_examples=FAST, derandomize=True, database=None)
+    settings.register_profile("quick", deadline=None, max_examples=QUICK, derandomize=True, database=None)
+    settings.register_profile("study", deadline=None, max_examples=MANY)
+    settings.load_profile("fast" if fast else sized("quick", "study"))
