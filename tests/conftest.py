@@ -29,7 +29,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests of the study are for TOLNET_STUDY=full; slow ones, and sets of parameters but the first, not for --fast."""
+    """Tests of the study are for TOLNET_STUDY=full; slow ones and further sets of parameters not for --fast."""
     fast, seen = config.getoption("--fast"), set[tuple[object, str]]()
     kept, left = [], []
     for item in items:

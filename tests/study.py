@@ -29,3 +29,8 @@ def load_hypothesis_profile(*, fast: bool) -> None:
     settings.register_profile("quick", deadline=None, max_examples=QUICK, derandomize=True, database=None)
     settings.register_profile("study", deadline=None, max_examples=MANY)
     settings.load_profile("fast" if fast else sized("quick", "study"))
+
+
+def few() -> settings:
+    """A third of the profile's examples, for properties that take long; to be called after the profile is loaded."""
+    return settings(max_examples=max(settings().max_examples // 3, FAST))
