@@ -147,7 +147,7 @@ class _Blocks:
         if J not in self._known:
             own = np.flatnonzero(self._label == J)
             roots = eigenvalues(rational(self._A[np.ix_(own, own)]))
-            self._known[J] = any(self._region.holds(root.excess, root.size) for root in roots)
+            self._known[J] = any(self._region.holds(root) for root in roots)
         return self._known[J]
 
 

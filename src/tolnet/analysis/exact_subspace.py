@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+from scipy.linalg import eig
 
-from tolnet.analysis.state_units import components
+from tolnet.analysis.state_units import UNIT, components, rounding, state_units
 
 if TYPE_CHECKING:
     from flint import fmpq_mat as Rational
@@ -36,8 +37,8 @@ class Eigenvalue:
     value: complex
     excess: float
     """|lambda| - 1, of full relative accuracy next to the circle, where that of `value` has none."""
-    size: int
-    """Order of the irreducible block of the matrix that it belongs to."""
+    margin: float
+    """How far the rounding of the matrix may have moved |lambda|."""
     factor: Polynomial
     multiplicity: int
     """How often the factor divides the characteristic polynomial of the whole matrix."""
@@ -86,31 +87,66 @@ def unobservable(A: Float[ndarray, "n n"], C: Float[ndarray, "p n"]) -> ExactSub
 
 def eigenvalues(M: Rational) -> list[Eigenvalue]:
     """The distinct eigenvalues of a rational matrix, each of a conjugate pair once, largest modulus first."""
-    from flint import ctx
-
     table = M.table()
     label = components(np.array([[entry != 0 for entry in row] for row in table]).reshape(len(table), len(table)))
-    found: dict[str, list[Any]] = {}
+    found: dict[tuple[str, int], Eigenvalue] = {}
     for J in range(int(label.max(initial=-1)) + 1):
         own = np.flatnonzero(label == J)
-        polynomial = _from_rows([[table[i][j] for j in own] for i in own], len(own)).charpoly().numer()
-        for factor, power in polynomial.factor()[1]:
-            entry = found.setdefault(str(factor), [factor, 0, 0])
-            entry[1] += power
-            entry[2] = max(entry[2], len(own))
-    result = []
+        block = _from_rows([[table[i][j] for j in own] for i in own], len(own))
+        factors = block.charpoly().numer().factor()[1]
+        roots = [(factor, power, *root) for factor, power in factors for root in enumerate(_roots(factor))]
+        conditions = _Conditions(to_doubles(block), [value for _, _, _, (value, _) in roots])
+        for factor, power, i, (value, excess) in roots:
+            known = found.get((str(factor), i))
+            found[str(factor), i] = Eigenvalue(
+                value,
+                excess,
+                max(conditions.margin(value, power == 1), known.margin if known else 0.0),
+                factor,
+                power + (known.multiplicity if known else 0),
+            )
+    return sorted((root for root in found.values() if root.value.imag >= 0), key=lambda root: -root.excess)
+
+
+def _roots(factor: Polynomial) -> list[tuple[complex, float]]:
+    """All roots lambda of an irreducible polynomial, and |lambda| - 1."""
+    from flint import ctx
+
     before = ctx.prec
     try:
         ctx.prec = _ROOT_BITS
-        for factor, power, size in found.values():
-            for root, _ in factor.complex_roots():
-                if not root.imag < 0:
-                    value = complex(float(root.real.mid()), float(root.imag.mid()))
-                    excess = float((abs(root) - 1).mid())
-                    result.append(Eigenvalue(value, excess, size, factor, power))
+        balls = [root for root, _ in factor.complex_roots()]
+        return [
+            (complex(float(root.real.mid()), float(root.imag.mid())), float((abs(root) - 1).mid())) for root in balls
+        ]
     finally:
         ctx.prec = before
-    return sorted(result, key=lambda root: -root.excess)
+
+
+class _Conditions:
+    """How far rounding moves the eigenvalues of an irreducible matrix."""
+
+    def __init__(self, B: Float[ndarray, "m m"], values: list[complex]) -> None:
+        self._values = np.array(values)
+        self._rounding = rounding(len(B))
+        if len(B) > 1:
+            d = state_units(B, np.empty((0, len(B))))
+            B = B * (d / d[:, None])
+            self._found, left, right = eig(B, left=True)
+            # Columns have length one: a change of size one moves the eigenvalue by 1 / |w* x| to first order.
+            moved = np.abs((left.conj() * right).sum(axis=0))
+            self._moves = np.linalg.norm(B) / np.maximum(moved, UNIT)
+
+    def margin(self, value: complex, simple: bool) -> float:
+        """What rounding moves it by; where that is no small share of the distance to the next, it counts as exact.
+
+        A number that rounds to one is still taken for one.
+        """
+        if not simple or len(self._values) == 1:
+            return self._rounding
+        moved = float(self._rounding * self._moves[np.abs(self._found - value).argmin()])
+        gap = np.partition(np.abs(self._values - value), 1)[1]
+        return max(moved, self._rounding) if moved < gap / 2 else self._rounding
 
 
 def generalised_eigenspace(M: Rational, root: Eigenvalue) -> Rational:

@@ -34,8 +34,9 @@ from tolnet.analysis.exact_subspace import (
 from tolnet.analysis.state_units import block_norms, components, rounding, state_units
 
 _REACH = 0.5  # farther from the region no eigenvalue of a matrix of up to 50 states is brought by rounding
-_STEPS = 30
-_SAME = 1e-6  # eigenvalues found twice from different starts agree to this
+_PATIENCE = 4  # steps without gain
+_WIDEST = 1e-100  # what is allowed of a row, against the others, that no weight goes beyond
+_SAME, _ALIKE = 1e-6, 1e-3  # eigenvalues found twice agree to the first; nearly defective ones to the second
 _CARRIES = 1e-6  # a state whose share of a direction is below this, in its units, does not carry it
 
 
@@ -46,9 +47,9 @@ class Region:
     least: float
     most: float
 
-    def holds(self, excess: float, size: int) -> bool:
-        """Whether |lambda| = 1 + excess lies there, up to the rounding of a matrix of that size."""
-        return self.least - 1 - rounding(size) <= excess <= self.most - 1 + rounding(size)
+    def holds(self, root: Eigenvalue) -> bool:
+        """Whether an eigenvalue lies there, up to rounding."""
+        return self.least - 1 - root.margin <= root.excess <= self.most - 1 + root.margin
 
     def nearest(self, value: complex) -> complex | None:
         """The nearest number of the region; None where rounding could not have brought it so far."""
@@ -97,10 +98,7 @@ def hidden_modes(
     exactly = unobservable(A, C)
     found = [] if exactly is None else [_exact_mode(exactly, root) for root in _hidden_roots(exactly, region)]
     near = _Near.of(A, C, exactly, error)
-    for value, y in near.witnesses(region):
-        if all(abs(value - mode.eigenvalue) > _SAME for mode in found):
-            found.append(near.mode(value, y))
-    return found
+    return found + [near.mode(value, y) for value, y in near.witnesses(region)]
 
 
 def hides(A: Float[ndarray, "n n"], C: Float[ndarray, "p n"], region: Region) -> bool:
@@ -113,7 +111,7 @@ def hides(A: Float[ndarray, "n n"], C: Float[ndarray, "p n"], region: Region) ->
 
 
 def _hidden_roots(exactly: ExactSubspace, region: Region) -> list[Eigenvalue]:
-    return [root for root in eigenvalues(exactly.A_N) if region.holds(root.excess, root.size)]
+    return [root for root in eigenvalues(exactly.A_N) if region.holds(root)]
 
 
 def _exact_mode(exactly: ExactSubspace, root: Eigenvalue) -> Mode:
@@ -170,42 +168,38 @@ class _Near:
             for J in range(int(self.label.max(initial=-1)) + 1)
             for value in np.linalg.eigvals(self.A[np.ix_(self.label == J, self.label == J)])
         ]
-        found: list[complex] = []
+        found: list[tuple[complex, ndarray]] = []
         for value in sorted(starts, key=lambda value: -abs(value)):
             start = region.nearest(complex(value)) if value.imag >= 0 else None
             if start is None:
                 continue
             witness = self._seek(start, region)
-            if witness is not None and all(abs(witness[0] - other) > _SAME for other in found):
-                found.append(witness[0])
+            if witness is not None and not any(_same(witness, other) for other in found):
+                found.append(witness)
                 yield witness
 
     def _seek(self, value: complex, region: Region) -> tuple[complex, ndarray] | None:
-        """Least squares for x and lambda in turn, the rows weighed by what is allowed of them at the last x.
+        """Newton's method for a zero of the smallest singular value s of M = W [A - lambda I; C], by lambda.
 
-        Every step is a descent but for the weights; one that gains less than a half ends the search.
+        With M x = s u and u* W [x; 0] = g, s becomes |s - g dlambda| to first order. The rows are weighed anew by
+        what is allowed of them at the last x, and the search ends where nothing is gained.
         """
         n = len(self.A)
-        size, best = self.allowed.sum(axis=1), np.inf
-        for _ in range(_STEPS):
-            weight = 1 / np.maximum(size, np.finfo(float).tiny)
+        size, best, patience = self.allowed.sum(axis=1), np.inf, _PATIENCE
+        while patience:
             value = value if value.imag else value.real
             M = np.concatenate([self.A - value * np.eye(n), self.C])
-            with np.errstate(over="ignore"):
-                weighed = np.minimum(weight / weight.min(), 1e150)[:, None] * M
-            x = np.linalg.svd(weighed, full_matrices=False)[2][-1].conj()
-            size = self.allowed @ np.abs(x)
-            left = np.abs(M @ x)
+            weight = size.max() / np.maximum(size, _WIDEST * size.max())
+            U, s, Vh = np.linalg.svd(weight[:, None] * M, full_matrices=False)
+            x = Vh[-1].conj()
+            size, left = self.allowed @ np.abs(x), np.abs(M @ x)
             if (left <= size).all():
                 return complex(value), x
-            with np.errstate(divide="ignore"):
-                worst = float((left[left > 0] / size[left > 0]).max())
-            if worst > best / 2:
-                return None
-            best = worst
-            Wx = x / np.maximum(size[:n], size[:n].max() * 1e-150)
-            WAx = (self.A @ x) / np.maximum(size[:n], size[:n].max() * 1e-150)
-            nearest = region.nearest(complex(np.vdot(Wx, WAx) / np.vdot(Wx, Wx)))
+            worst = float((left[left > 0] / np.maximum(size[left > 0], _WIDEST * size.max())).max())
+            best, patience = (worst, _PATIENCE) if worst < best / 2 else (best, patience - 1)
+            slope = complex(np.vdot(U[:n, -1], weight[:n] * x))
+            step = complex(s[-1]) / slope if abs(slope) * _REACH > s[-1] else _REACH
+            nearest = region.nearest(complex(value) + step)
             if nearest is None:
                 return None
             value = nearest
@@ -218,6 +212,12 @@ class _Near:
         x = np.zeros(self.whole, dtype=y.dtype)
         x[self.kept] = self.d * y
         return Mode(value, _unit(x), tuple(states.tolist()))
+
+
+def _same(one: tuple[complex, ndarray], other: tuple[complex, ndarray]) -> bool:
+    """Whether two witnesses are of one mode: next to a defective one, eigenvalues are known to few digits."""
+    apart = abs(one[0] - other[0])
+    return apart <= _SAME or (apart <= _ALIKE and abs(np.vdot(one[1], other[1])) >= 1 - _ALIKE)
 
 
 def _unit(x: ndarray) -> ndarray:
