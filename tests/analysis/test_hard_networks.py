@@ -10,6 +10,8 @@ from tests.reference.hard_networks import KINDS, hard_network
 from tests.study import sized
 
 from tolnet import analysis, design
+from tolnet.analysis.divergence import scalar_excess
+from tolnet.analysis.fixed_point import Recursion, derivative, step
 from tolnet.model import SensorNetwork, Status, SteadyState, ToleranceTable
 
 SEEDS = sized(3, 230)
@@ -108,7 +110,7 @@ def test_the_tolerance_alone_keeps_a_filter_awake(noise: float, c: float):
     """n = 1: V = kappa P, so P = A^2 kappa P / (1 + kappa S P) + Q, a quadratic; from a tiny start P grows for long."""
     A, S = 0.999, 1.0
     state = analysis.solve_steady_states(np.array([[A]]), np.array([[noise]]), np.array([[[S]]]), np.array([c]))[0]
-    kappa = 1 + float(analysis.divergence.scalar_excess(np.array([c]))[0])
+    kappa = 1 + float(scalar_excess(np.array([c]))[0])
     b = 1 - A * A * kappa - kappa * S * noise
     root = np.sqrt(b * b + 4 * kappa * S * noise)
     P = (root - b) / (2 * kappa * S) if b < 0 else 2 * noise / (b + root)
@@ -144,8 +146,8 @@ def test_attraction_is_the_same_in_all_units(n: int, decades: int):
     C = rng.normal(size=(n // 2, n)) / d
     A, Q, S = A * d[:, None] / d, np.diag(d**2 * rng.uniform(0.1, 1, n)), C.T @ C
     state = analysis.solve_steady_states(A, Q, S[None], np.full(1, 0.02))[0]
-    recursion = analysis.fixed_point.Recursion(A, Q, S[None], np.full(1, 0.02))
-    slope = analysis.fixed_point.derivative(recursion, analysis.fixed_point.step(recursion, state.P[None]))
+    recursion = Recursion(A, Q, S[None], np.full(1, 0.02))
+    slope = derivative(recursion, step(recursion, state.P[None]))
     dense = float(np.abs(np.linalg.eigvals(slope.matrix()[0])).max())
     assert str(state.status) == "ok"
     assert float(state.attraction) == pytest.approx(dense, rel=1e-7)

@@ -43,6 +43,11 @@ class Detectability:
         return not hides(*self._driven, CIRCLE)
 
     @cached_property
+    def undriven_outside(self) -> bool:
+        """Whether the noise misses a mode outside the unit circle; then no filter meets it from P = 0."""
+        return self.stabilisable and hides(*self._driven, OUTSIDE)
+
+    @cached_property
     def detectable(self) -> Bool[ndarray, " N"]:
         """Nodes that see every mode that does not decay."""
         return _all_seen(self.network, self._heard, OUTSIDE)

@@ -349,7 +349,8 @@ def _arnoldi_radius(slope: Derivative, order: int) -> tuple[Float[ndarray, " K"]
     basis[:, 0] = (start @ start.T).ravel() / np.linalg.norm(start @ start.T)
     H = np.zeros((K, order + 1, order))
     for j in range(order):
-        w = slope.apply(basis[:, j].reshape(K, n, n)).reshape(K, n * n, 1)
+        # Rounding is not symmetric, and K E K' may die out more slowly on what is antisymmetric.
+        w = stacked.symmetric_part(slope.apply(basis[:, j].reshape(K, n, n))).reshape(K, n * n, 1)
         known = basis[:, : j + 1]
         for _ in range(2):  # twice is enough
             h = known @ w

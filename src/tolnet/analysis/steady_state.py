@@ -13,7 +13,7 @@ from numpy import ndarray
 from tolnet.analysis import extended, stacked
 from tolnet.analysis.accuracy import error_loop, estimated_error
 from tolnet.analysis.continuation import ACCEPT, FixedPoints, find_wanderers, settle, solve_fixed_points
-from tolnet.analysis.detectability import Detectability, detectability
+from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, inflate_covariance, relative_defect, step
 from tolnet.analysis.riccati import solve_riccati
@@ -49,7 +49,7 @@ def solve_steady_state(network: SensorNetwork, tolerance: float | Ambiguity | No
         np.array([ambiguity.gamma]),
         tau=ambiguity.tau,
         refused=status,
-        undriven=_undriven_outside(seen),
+        undriven=seen.undriven_outside,
         sources=Sources.of_centre(network),
     )[0]
 
@@ -80,17 +80,10 @@ def solve_local_steady_states(
         tolerances,
         tau=tau,
         refused=status,
-        undriven=_undriven_outside(seen),
+        undriven=seen.undriven_outside,
         sources=Sources.of_nodes(network),
         refine=refine,
         progress=progress,
-    )
-
-
-def _undriven_outside(seen: Detectability) -> bool:
-    """Whether the noise misses a mode outside the unit circle."""
-    return any(
-        missed and mode.modulus > 1 for mode, missed in zip(seen.modes, seen.undriven.tolist(), strict=True)
     )
 
 
