@@ -1,7 +1,8 @@
-"""What a plant of doubles hides, from the definition: fractions, the observability matrix, and roots to 200 digits."""
+"""What a plant of doubles hides, from the definition: fractions, the observability matrix, roots to 200 digits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 import mpmath
@@ -19,7 +20,11 @@ def exactly(M: ndarray) -> Matrix:
 
 def product(X: Matrix, Y: Matrix) -> Matrix:
     """X Y."""
-    return [[sum((a * b for a, b in zip(row, column, strict=True)), Fraction(0)) for column in zip(*Y)] for row in X]
+    return [[_dot(row, column) for column in zip(*Y, strict=True)] for row in X]
+
+
+def _dot(row: Sequence[Fraction], column: Sequence[Fraction]) -> Fraction:
+    return sum((a * b for a, b in zip(row, column, strict=True)), Fraction(0))
 
 
 def kernel(M: Matrix, n: int) -> Matrix:
@@ -46,7 +51,10 @@ def kernel(M: Matrix, n: int) -> Matrix:
 
 
 def hidden_excesses(A: ndarray, C: ndarray) -> list[float]:
-    """|lambda| - 1 of every eigenvalue of A on the kernel of [C; C A; ...; C A^(n-1)] (zero below 1e-100), repeated ones once."""
+    """|lambda| - 1 of every eigenvalue of A on the kernel of [C; C A; ...; C A^(n-1)], repeated ones once.
+
+    Zero below 1e-100.
+    """
     n, plant, rows = len(A), exactly(A), exactly(C)
     stacked, last = [*rows], rows
     for _ in range(n - 1):
@@ -57,7 +65,7 @@ def hidden_excesses(A: ndarray, C: ndarray) -> list[float]:
         return []
     # A v = sum_i w_i v_i: the w are the entries of A v where the v_i form an identity, their free coordinates.
     free = [max(j for j in range(n) if v[j] == 1 and all(w[j] == 0 for w in basis if w is not v)) for v in basis]
-    images = [[sum((a * x for a, x in zip(row, v, strict=True)), Fraction(0)) for row in plant] for v in basis]
+    images = [[_dot(row, v) for row in plant] for v in basis]
     restricted = [[image[j] for image in images] for j in free]
     with mpmath.workdps(_DIGITS):
         excesses = [abs(root) - 1 for root in _roots(_without_repeats(_characteristic(restricted)))]

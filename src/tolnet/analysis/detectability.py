@@ -1,6 +1,6 @@
 """Which modes of the plant each node's sensors miss, and which the process noise does not reach.
 
-A node misses a mode lambda of A when some x != 0 has A x = lambda x and C_l x = 0 for every l that it hears. The noise
+A node misses a mode lambda of A when some x != 0 has A x = lambda x and C_l x = 0 for every l that it hears. The
 covariances R_l have no part in that: a direction seen through a sensor a million times worse is seen.
 
 `hidden_modes` decides one pair (A, C). Of a million nodes nearly all are decided before, by
@@ -23,7 +23,7 @@ from scipy import sparse
 
 from tolnet.analysis.exact_subspace import eigenvalues, rational
 from tolnet.analysis.hidden_modes import ANY, CIRCLE, OUTSIDE, Mode, Region, hidden_modes, hides
-from tolnet.analysis.state_units import UNIT, components, reachable, rounding, state_units
+from tolnet.analysis.state_units import UNIT, components, reachable, rounding, state_units, unit_rows
 from tolnet.model import SensorNetwork
 
 _RING = np.exp(2j * np.pi * np.arange(12) / 12)
@@ -31,9 +31,25 @@ _CLEAR = 1e4  # how much farther than an eigenvalue is uncertain the directions 
 _BLOCK = 2**22  # numbers in one stack of Gramians
 
 
+class _Missed(NamedTuple):
+    """What each of K sets of nodes misses in a region."""
+
+    visible: Bool[ndarray, "K n"]
+    """States that act on some row that the set hears."""
+    by_structure: Bool[ndarray, " K"]
+    """Whether the other states have a mode in the region."""
+    besides: Bool[ndarray, " K"]
+    """Whether a mode of the visible states is hidden."""
+
+    @property
+    def nothing(self) -> Bool[ndarray, " K"]:
+        """Sets that see every mode."""
+        return ~self.by_structure & ~self.besides
+
+
 @dataclass(frozen=True, eq=False)
 class Detectability:
-    """What is reached by the noise and seen by the sensors of a network. Modes are looked for as they are asked for."""
+    """What is reached by the noise and seen by the sensors of a network. Nothing is looked for before it is asked."""
 
     network: SensorNetwork
 
@@ -47,36 +63,58 @@ class Detectability:
         """Whether the noise misses a mode outside the unit circle; then no filter meets it from P = 0."""
         return self.stabilisable and hides(*self._driven, OUTSIDE)
 
-    @cached_property
+    @property
     def detectable(self) -> Bool[ndarray, " N"]:
         """Nodes that see every mode that does not decay."""
-        return _all_seen(self.network, self._heard, OUTSIDE)
+        return self._missed.nothing
 
-    @cached_property
+    @property
     def centre_detectable(self) -> bool:
         """Whether all sensors together see every mode that does not decay."""
-        return bool(_all_seen(self.network, self._everything, OUTSIDE)[0])
+        return bool(self._centre_missed.nothing[0])
 
     @cached_property
     def observable(self) -> Bool[ndarray, " N"]:
         """Nodes that see every mode."""
-        return _all_seen(self.network, self._heard, ANY)
+        return _missed(self.network, self._heard, ANY).nothing
 
     @cached_property
     def centre_observable(self) -> bool:
         """Whether all sensors together see every mode."""
-        return bool(_all_seen(self.network, self._everything, ANY)[0])
+        return bool(_missed(self.network, self._everything, ANY).nothing[0])
 
     def offending(self, k: int | None) -> list[Mode]:
         """Modes that do not decay and that node k (None: the centre) misses."""
-        network = self.network
-        heard = np.arange(network.N) if k is None else network.neighbours(k)
-        rows = np.concatenate([network.C[network.rows[l] : network.rows[l + 1]] for l in heard])
-        return hidden_modes(network.A, rows, OUTSIDE)
+        network, at = self.network, k or 0
+        missed = self._centre_missed if k is None else self._missed
+        if missed.nothing[at]:
+            return []
+        rows = np.eye(network.n)[missed.visible[at]]
+        if missed.besides[at]:
+            heard = np.arange(network.N) if k is None else network.neighbours(k)
+            rows = np.concatenate([network.C[network.rows[l] : network.rows[l + 1]] for l in heard.tolist()])
+            rows = np.unique(rows, axis=0)
+        key = rows.tobytes()
+        if key not in self._modes:
+            self._modes[key] = hidden_modes(network.A, rows, OUTSIDE)
+        return self._modes[key]
 
     def offending_undriven(self) -> list[Mode]:
         """Modes on the unit circle that the noise does not drive."""
         return hidden_modes(*self._driven, CIRCLE)
+
+    @cached_property
+    def _modes(self) -> dict[bytes, list[Mode]]:
+        """Those that were looked for, by the rows that miss them: many nodes miss the same."""
+        return {}
+
+    @cached_property
+    def _missed(self) -> _Missed:
+        return _missed(self.network, self._heard, OUTSIDE)
+
+    @cached_property
+    def _centre_missed(self) -> _Missed:
+        return _missed(self.network, self._everything, OUTSIDE)
 
     @property
     def _driven(self) -> tuple[ndarray, ndarray]:
@@ -86,7 +124,7 @@ class Detectability:
 
     @property
     def _heard(self) -> sparse.csr_array:
-        """K x N, which nodes each node hears."""
+        """N x N, which nodes each node hears."""
         return self.network.adjacency.T.astype(float).tocsr()
 
     @property
@@ -104,20 +142,20 @@ def detectability(network: SensorNetwork) -> Detectability:
     return Detectability(network)
 
 
-def _all_seen(network: SensorNetwork, heard: sparse.csr_array, region: Region) -> Bool[ndarray, " K"]:
-    """Which sets of nodes, one a row of `heard` (K, N), see every mode in the region."""
-    A = network.A
+def _missed(network: SensorNetwork, heard: sparse.csr_array, region: Region) -> _Missed:
+    """What sets of nodes, one a row of `heard` (K, N), miss in the region."""
+    A, K = network.A, _count(heard)
     blocks = _Blocks(A, region)
-    result = np.zeros(heard.shape[0], dtype=bool)
+    found = _Missed(np.zeros((K, network.n), dtype=bool), np.zeros(K, dtype=bool), np.zeros(K, dtype=bool))
     for members, visible in _by_reach(network, heard):
-        if blocks.any_among(~visible):
-            continue
+        found.visible[members] = visible
+        found.by_structure[members] = blocks.any_among(~visible)
         part = _Part.of(network, heard[members], np.flatnonzero(visible))
-        seen = part.clearly_seen(region)
-        for alike, rows in part.alike(np.flatnonzero(~seen)):
-            seen[alike] = not hides(part.A, rows, region)
-        result[members] = seen
-    return result
+        besides = ~part.clearly_seen(region)
+        for alike, rows in part.alike(np.flatnonzero(besides)):
+            besides[alike] = hides(part.A, rows, region)
+        found.besides[members] = besides
+    return found
 
 
 def _by_reach(
@@ -196,14 +234,12 @@ class _Part(NamedTuple):
         values of A - (that eigenvalue) I below tau. Then x = E a + (the rest), of which the rest is at most
         (delta + r) / tau =: q, and so is 1 - |a|; and sum |c E a|^2 <= p (q + eps)^2 for p rows.
         """
-        K, n = self.heard.shape[0], len(self.A)
-        seen = np.ones(K, dtype=bool)
+        n = len(self.A)
+        seen = np.ones(_count(self.heard), dtype=bool)
         if n == 0:
             return seen
         d = state_units(self.A, _typical(self.C))
-        A, C = self.A * (d / d[:, None]), self.C * d
-        size = np.linalg.norm(C, axis=1, keepdims=True)
-        C = C / np.where(size > 0, size, 1.0)
+        A, C = self.A * (d / d[:, None]), unit_rows(unit_rows(self.C) * d)
         delta, eps = rounding(n) * n * float(np.linalg.norm(A)), rounding(n) * np.sqrt(n)
         p = self.heard @ np.diff(self.rows)
         for value in np.linalg.eigvals(A).astype(complex).tolist():
@@ -223,11 +259,16 @@ class _Part(NamedTuple):
         parts = (Y.conj()[:, :, None] * Y[:, None, :]).reshape(-1, q * q)
         own = [owned @ np.real(parts), owned @ np.imag(parts)]
         found = []
-        for start in range(0, self.heard.shape[0], step := max(1, _BLOCK // (q * q))):
+        for start in range(0, _count(self.heard), step := max(1, _BLOCK // (q * q))):
             heard = self.heard[start : start + step]
             local = (heard @ own[0] + 1j * (heard @ own[1])).reshape(-1, q, q)
             found.append(np.linalg.eigvalsh(local if np.iscomplexobj(Y) else np.real(local))[:, 0])
         return np.concatenate(found)
+
+
+def _count(heard: sparse.csr_array) -> int:
+    """How many sets there are, one a row."""
+    return len(heard.indptr) - 1
 
 
 def _typical(C: Float[ndarray, "m n"]) -> Float[ndarray, "1 n"]:
@@ -238,10 +279,12 @@ def _typical(C: Float[ndarray, "m n"]) -> Float[ndarray, "1 n"]:
 
 
 def _uncertainty(A: ndarray, value: complex, delta: float) -> float:
-    """A radius about an eigenvalue at which A - z I is farther than 2 delta from singular: no change by delta leads out.
+    """A radius about an eigenvalue where A - z I is farther than 2 delta from singular: no change by delta leads out.
 
     Doubled until the smallest singular value, which moves no faster than z, is large enough on a ring of points.
     """
+    if delta == 0:  # A = 0, whose eigenvalues are exact
+        return 0.0
     r, eye = 4 * delta, np.eye(len(A))
     while r < 1:
         ring = A - (value + r * _RING)[:, None, None] * eye
@@ -252,7 +295,7 @@ def _uncertainty(A: ndarray, value: complex, delta: float) -> float:
 
 
 def _hardly_moved(A: ndarray, value: complex, least: float) -> tuple[ndarray, float]:
-    """An orthonormal basis of the directions of the small singular values of A - value I, and the least of the others.
+    """An orthonormal basis of the directions of small singular values of A - value I, and the least of the others.
 
     The others are at least `least`; none is left where no singular value is.
     """

@@ -67,7 +67,8 @@ class ExactSubspace:
 
     def quotient(self, A: Float[ndarray, "n n"]) -> Float[ndarray, "s s"]:
         """A modulo the subspace, on y = x_rest - Z x_free: exact but for the last rounding."""
-        return to_doubles(rational(A[np.ix_(self.rest, self.rest)]) - self.Z * rational(A[np.ix_(self.free, self.rest)]))
+        own, above = (rational(A[np.ix_(rows, self.rest)]) for rows in (self.rest, self.free))
+        return to_doubles(own - self.Z * above)
 
 
 def unobservable(A: Float[ndarray, "n n"], C: Float[ndarray, "p n"]) -> ExactSubspace | None:
@@ -115,9 +116,10 @@ def _roots(factor: Polynomial) -> list[tuple[complex, float]]:
     before = ctx.prec
     try:
         ctx.prec = _ROOT_BITS
-        balls = [root for root, _ in factor.complex_roots()]
+        balls: Any = factor.complex_roots()  # each with its multiplicity, which is one
         return [
-            (complex(float(root.real.mid()), float(root.imag.mid())), float((abs(root) - 1).mid())) for root in balls
+            (complex(float(root.real.mid()), float(root.imag.mid())), float((abs(root) - 1).mid()))
+            for root, _ in balls
         ]
     finally:
         ctx.prec = before
@@ -132,7 +134,8 @@ class _Conditions:
         if len(B) > 1:
             d = state_units(B, np.empty((0, len(B))))
             B = B * (d / d[:, None])
-            self._found, left, right = eig(B, left=True)
+            parts: Any = eig(B, left=True)
+            self._found, left, right = parts
             # Columns have length one: a change of size one moves the eigenvalue by 1 / |w* x| to first order.
             moved = np.abs((left.conj() * right).sum(axis=0))
             self._moves = np.linalg.norm(B) / np.maximum(moved, UNIT)
@@ -149,15 +152,28 @@ class _Conditions:
         return max(moved, self._rounding) if moved < gap / 2 else self._rounding
 
 
+def eigenspace(M: Rational, root: Eigenvalue) -> Rational:
+    """A basis of ker f(M) for the factor f of an eigenvalue: columns, in echelon form."""
+    return _basis_of_kernel(_at(root.factor, M))
+
+
 def generalised_eigenspace(M: Rational, root: Eigenvalue) -> Rational:
     """A basis of ker f(M)^m for the factor f of an eigenvalue and its multiplicity m: columns, in echelon form."""
     if root.factor.degree() * root.multiplicity == M.nrows():
         return _identity(M.nrows())
-    power = root.factor**root.multiplicity
+    return _basis_of_kernel(_at(root.factor**root.multiplicity, M))
+
+
+def _at(polynomial: Polynomial, M: Rational) -> Rational:
+    """The polynomial of a matrix (Horner)."""
     value = _identity(M.nrows()) * 0
-    for coefficient in reversed(power.coeffs()):
+    for coefficient in reversed(polynomial.coeffs()):
         value = value * M + _identity(M.nrows()) * coefficient
-    free, rest, Z = _kernel_of(value)
+    return value
+
+
+def _basis_of_kernel(M: Rational) -> Rational:
+    free, rest, Z = _kernel_of(M)
     where = {int(row): i for i, row in enumerate(rest)} | {int(row): -1 - i for i, row in enumerate(free)}
     own, others = _identity(len(free)).table(), Z.table()
     rows = [others[where[i]] if where[i] >= 0 else own[-1 - where[i]] for i in range(M.nrows())]
@@ -175,7 +191,8 @@ def rational(M: Float[ndarray, "p n"]) -> Rational:
     """A matrix of doubles as the rational numbers that they are."""
     from flint import fmpq, fmpq_mat
 
-    return fmpq_mat(*M.shape, [fmpq(*entry.as_integer_ratio()) for entry in M.ravel().tolist()])
+    p, n = M.shape
+    return fmpq_mat(p, n, [fmpq(*entry.as_integer_ratio()) for entry in M.ravel().tolist()])
 
 
 def to_doubles(M: Rational) -> Float[ndarray, "p n"]:

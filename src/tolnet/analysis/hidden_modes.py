@@ -26,12 +26,13 @@ from numpy import ndarray
 from tolnet.analysis.exact_subspace import (
     Eigenvalue,
     ExactSubspace,
+    eigenspace,
     eigenvalues,
     generalised_eigenspace,
     to_doubles,
     unobservable,
 )
-from tolnet.analysis.state_units import block_norms, components, rounding, state_units
+from tolnet.analysis.state_units import block_norms, components, rounding, state_units, unit_rows
 
 _REACH = 0.5  # farther from the region no eigenvalue of a matrix of up to 50 states is brought by rounding
 _PATIENCE = 4  # steps without gain
@@ -116,11 +117,14 @@ def _hidden_roots(exactly: ExactSubspace, region: Region) -> list[Eigenvalue]:
 
 def _exact_mode(exactly: ExactSubspace, root: Eigenvalue) -> Mode:
     carried = exactly.lifted(generalised_eigenspace(exactly.A_N, root)).any(axis=1)
+    states = tuple(np.flatnonzero(carried).tolist())
+    if root.factor.degree() == 1:
+        return Mode(root.value, _unit(exactly.lifted(eigenspace(exactly.A_N, root))[:, 0]), states)
     A_N = to_doubles(exactly.A_N)
     d = state_units(A_N, np.empty((0, len(A_N))))
     value = root.value if root.value.imag else root.value.real
     _, _, Vh = np.linalg.svd(A_N * (d / d[:, None]) - value * np.eye(len(A_N)))
-    return Mode(root.value, _unit(exactly.X @ (d * Vh[-1].conj())), tuple(np.flatnonzero(carried).tolist()))
+    return Mode(root.value, _unit(exactly.X @ (d * Vh[-1].conj())), states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +146,9 @@ class _Near:
         whole, kept = len(A), np.arange(len(A))
         if exactly is not None:
             A, C, kept = exactly.quotient(A), C[:, exactly.rest], exactly.rest
+        C = unit_rows(C)
         d = state_units(A, C)
-        C = C * d
-        return cls(A * (d / d[:, None]), C / np.linalg.norm(C, axis=1, keepdims=True), d, kept, whole, error)
+        return cls(A * (d / d[:, None]), unit_rows(C * d), d, kept, whole, error)
 
     @cached_property
     def label(self) -> ndarray:
@@ -217,7 +221,7 @@ class _Near:
 def _same(one: tuple[complex, ndarray], other: tuple[complex, ndarray]) -> bool:
     """Whether two witnesses are of one mode: next to a defective one, eigenvalues are known to few digits."""
     apart = abs(one[0] - other[0])
-    return apart <= _SAME or (apart <= _ALIKE and abs(np.vdot(one[1], other[1])) >= 1 - _ALIKE)
+    return apart <= _SAME or (apart <= _ALIKE and bool(abs(np.vdot(one[1], other[1])) >= 1 - _ALIKE))
 
 
 def _unit(x: ndarray) -> ndarray:

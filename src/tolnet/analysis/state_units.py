@@ -39,6 +39,13 @@ def reachable(A: ndarray) -> Bool[ndarray, "n n"]:
     return reach
 
 
+def unit_rows(M: Float[ndarray, "p n"]) -> Float[ndarray, "p n"]:
+    """Every row with length one, a row of zeros as it is; no square leaves the doubles."""
+    largest = np.abs(M).max(axis=1, initial=0.0, keepdims=True)
+    M = M / np.where(largest > 0, largest, 1.0)
+    return M / np.where(largest > 0, np.linalg.norm(M, axis=1, keepdims=True), 1.0)
+
+
 def block_norms(M: Float[ndarray, "p n"], label: Int[ndarray, " n"]) -> Float[ndarray, "p J"]:
     """Euclidean norms of the piece of every row that belongs to each component."""
     largest = np.abs(M).max(axis=1, initial=0.0, keepdims=True)
