@@ -1,4 +1,4 @@
-"""Right to six digits, or honest: networks on which doubles lose their digits, against 100 digits."""
+"""Right to six digits, or honest: networks on which doubles lose their digits, against 160 digits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tolnet.analysis.divergence import scalar_excess
 from tolnet.analysis.fixed_point import Recursion, derivative, step
 from tolnet.model import SensorNetwork, Status, SteadyState, ToleranceTable
 
-SEEDS = sized(3, 230)
+SEEDS = sized(2, 230)
 SIX = 1e-6
 
 
@@ -73,7 +73,7 @@ def test_hardly_any_answer_is_refused():
     for kind in KINDS:
         if kind == "quiet":
             continue
-        for seed in range(1000, 1000 + sized(12, 250)):
+        for seed in range(1000, 1000 + sized(5, 250)):
             network, tolerance = hard_network(kind, seed)
             table = design.choose_tolerances(network, tolerance)
             for name, _, state, _ in filters(table):

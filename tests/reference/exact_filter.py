@@ -1,4 +1,4 @@
-"""Whether a steady state that somebody reports is one, in 100 digits, for exactly the B, C and R of a network.
+"""Whether a steady state that somebody reports is one, in 160 digits, for exactly the B, C and R of a network.
 
 Newton's method (`fifty_digits`) from the reported P and theta: where it ends is a steady state; what was reported is
 right as far as it agrees.
@@ -17,7 +17,7 @@ from tests.reference.exact import exact, eye, inverse, rounded, solve
 
 from tolnet.model import SensorNetwork
 
-DIGITS = 100
+DIGITS = 160
 
 
 @dataclass(frozen=True)

@@ -259,6 +259,6 @@ def wander(recursion: Recursion, P: Float[ndarray, "K n n"], *, steps: int = 600
         growth = np.diff(np.log(milestones), axis=0)
         gone = np.isinf(traces[-1])
         doubles = growth[_STRETCHES // 2 :].sum(axis=0) > np.log(2)
-        diverges = gone | (doubles & (growth[-1] > 0.9 * growth[-3]) & (growth[-3] > 0))
+        diverges = gone | (doubles & (growth[-1] > 0.5 * growth[-3]) & (growth[-3] > 0))
     middle_of_it = P if t < steps // 2 else centre / (t + 1 - steps // 2)
     return Orbit(middle_of_it, calmest, least, diverges, t + 1)
