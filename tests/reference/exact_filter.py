@@ -61,7 +61,7 @@ def polish(filter: Filter, c: Any, P: ndarray, theta: float) -> Truth:
     with mp.workdps(DIGITS):
         A, Q, S, I = filter.A, filter.Q, filter.S, eye(len(filter.A))
         if c == 0:
-            exact_P, exact_theta = fifty_digits.kalman(A, Q, S), mpf(0)
+            exact_P, exact_theta = _settled(A, Q, S, exact(P)), mpf(0)
         else:
             exact_P, exact_theta = fifty_digits.newton(A, Q, S, mpf(c), exact(P), mpf(theta), DIGITS // 2)
         V = solve(I - exact_P * exact_theta, exact_P)
@@ -71,6 +71,17 @@ def polish(filter: Filter, c: Any, P: ndarray, theta: float) -> Truth:
         return Truth(
             rounded(exact_P), rounded(V), float(exact_theta), rounded(gain), float(radius), exact_P, V
         )
+
+
+def _settled(A: ndarray, Q: ndarray, S: ndarray, P: ndarray) -> ndarray:
+    """Where the Riccati recursion comes to rest from P, for filters that forget in some hundred steps."""
+    I = eye(len(A))
+    for _ in range(1000):
+        before, P = P, A @ solve(I + P @ S, P) @ A.T + Q
+        P = (P + P.T) / 2
+        if fifty_digits.size(P - before) <= fifty_digits.size(P) * mpf(10) ** -40:
+            return P
+    raise ArithmeticError("the recursion has not come to rest")
 
 
 def local_tolerance(filter: Filter, truth: Truth) -> float:
