@@ -24,6 +24,7 @@ COLOURS = {
     "CKF-tau": "#edae49",
     "CRKF": "#1f2933",
     "CSGF": "#3a9a6b",
+    "CSGF-tau": "#9bd34b",
     "DSEA-CP": "#9a6bb0",
 }
 """One colour a filter in every picture."""
