@@ -71,6 +71,16 @@ def test_the_gain_of_the_loop_is_that_of_unit_sensors():
     assert scalar_gain(odd_network()) == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("name", ["CKF", "CSGF"])
+def test_the_mean_of_the_fading_counts_where_something_fades(name: str):
+    fading = odd_network()
+    for network, same in ((fading.replaced(fading_mean=1.0, fading_variance=0.0), True), (fading, False)):
+        walk = drawn(network)
+        without, knowing = (followed(network, each, walk)[0] for each in (name, f"{name}-tau"))
+        assert np.array_equal(without, knowing) == same
+        assert not np.array_equal(knowing[0], knowing[-1])
+
+
 def test_everything_that_is_drawn_is_as_large_as_the_bounds_allow():
     """Second moments of 20,000 draws: fading, channel and measurement noise, process and multiplicative noise."""
     network = odd_network()

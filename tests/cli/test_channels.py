@@ -29,11 +29,11 @@ def test_simulation_json_has_the_numbers_of_the_library(tolnet: Tolnet):
         for key in ("mse", "interval", "node_mse"):
             assert each[key] == getattr(found[name], key).tolist()
         bound = found[name].bound.tolist()
-        assert each["bound"] == ([None] * 7 if name == "CSGF" else bound)
+        assert each["bound"] == ([None] * 7 if name.startswith("CSGF") else bound)
         assert (each["status"], each["reason"]) == ("ok", None)
     assert document["filters"]["DRKF-SWF"]["solves"] == 40 * 4 * 6
     assert document["filters"]["DRKF"]["overconfident"] is False
-    assert document["filters"]["CSGF"]["overconfident"] is None
+    assert document["filters"]["CSGF"]["overconfident"] is document["filters"]["CSGF-tau"]["overconfident"] is None
 
 
 def test_a_person_sees_each_filter_beside_its_own_bound(tolnet: Tolnet):
@@ -44,6 +44,15 @@ def test_a_person_sees_each_filter_beside_its_own_bound(tolnet: Tolnet):
     assert list(rows) == ["DRKF", "CKF-tau", "CRKF"]
     assert rows["DRKF"][-3:] == ["steady", "0", "ok"]
     assert "tolnet window field" in ran.out
+
+
+@pytest.mark.parametrize("name", analysis.CHANNEL_FILTERS)
+def test_every_filter_is_chosen_by_its_name_and_offered_in_the_help(name: str, tolnet: Tolnet, small: Path):
+    """Over a problem without a word of channels too: the name alone tells which kind of problem it is."""
+    ran = tolnet("simulate", small, "--runs", 2, "--steps", 1, "--filters", name.lower(), "--json")
+    assert list(ran.document["filters"]) == [name]
+    offered = "".join(tolnet("simulate", "--help").out.split()).replace("│", "")
+    assert f",{name}," in offered.replace(";", ",").replace("channelsof", ",")
 
 
 def test_every_format_says_the_same_and_the_picture_is_one(tolnet: Tolnet, tmp_path: Path):

@@ -113,8 +113,8 @@ def centralised(network: CorruptedNetwork, run: Run, *, fading_known: bool, robu
     return np.array(found)[:, None], np.array(covariances)[:, None]
 
 
-def csgf(network: CorruptedNetwork, run: Run, *, gain: float) -> Found:
-    """Consensus with a scalar gain."""
+def csgf(network: CorruptedNetwork, run: Run, *, gain: float, fading_known: bool) -> Found:
+    """CSGF and CSGF-tau: consensus with a scalar gain."""
     N, T = network.N, len(run) - 1
     x = np.tile(network.initial_mean, (N, 1))
     found = [x]
@@ -125,8 +125,9 @@ def csgf(network: CorruptedNetwork, run: Run, *, gain: float) -> Found:
             for r in np.flatnonzero(network.pairs[:, 0] == i):
                 j = network.pairs[r, 1]
                 C, _ = sensor(network, k, j)
+                expected = (network.tau(k)[j] if fading_known else 1.0) * C @ A @ x[i]
                 new[i] += network.fusion[i, j] * A @ (x[j] + e[r])
-                new[i] += gain * C.T @ (outputs(network, y, j) - C @ A @ x[i])
+                new[i] += gain * C.T @ (outputs(network, y, j) - expected)
         x = new
         found.append(x)
     return np.array(found), np.full((T + 1, N, network.n, network.n), np.nan)
@@ -166,7 +167,8 @@ LOOPS: dict[str, Callable[[CorruptedNetwork, Run], Found]] = {
     "CKF": lambda network, run: centralised(network, run, fading_known=False, robust=False),
     "CKF-tau": lambda network, run: centralised(network, run, fading_known=True, robust=False),
     "CRKF": lambda network, run: centralised(network, run, fading_known=True, robust=True),
-    "CSGF": lambda network, run: csgf(network, run, gain=0.25),
+    "CSGF": lambda network, run: csgf(network, run, gain=0.25, fading_known=False),
+    "CSGF-tau": lambda network, run: csgf(network, run, gain=0.25, fading_known=True),
     "DSEA-CP": dsea,
 }
-"""The filters by name; the gain of CSGF is that of sensors with C_i C_i' = 1."""
+"""The filters by name; the gain of both kinds of CSGF is that of sensors with C_i C_i' = 1."""

@@ -1,4 +1,4 @@
-"""What else a person could run over corrupted channels: centralised filters, CSGF and DSEA-CP.
+"""What else a person could run over corrupted channels: centralised filters, CSGF (two kinds) and DSEA-CP.
 
 The centralised ones hear every sensor without channel noise. Sources: docs/mathematics.md, section 13.8.
 """
@@ -68,11 +68,13 @@ class Csgf(ChannelFilter):
 
         x_i = A sum_j a_ij (x_j + e_ij) + alpha sum_{j in N_i} C_j' (y_j - C_j A x_i)
 
-    with alpha from `scalar_gain`. It knows no covariance.
+    with alpha from `scalar_gain`. It knows no covariance, and of no fading.
     """
 
     name = "CSGF"
     meaning = "consensus filter with one scalar gain"
+    fading_known: ClassVar[bool] = False
+    """Whether the innovation is y_j - tau_j C_j A x_i."""
 
     def __init__(self, network: CorruptedNetwork, runs: int) -> None:
         super().__init__(network, runs)
@@ -90,9 +92,25 @@ class Csgf(ChannelFilter):
         mixed = sum_by_receiver(
             network, network.fusion.data[:, None, None] * (self.x[:, senders] + drawn.e)[..., None]
         )
-        seen = sum_by_receiver(network, _squares(moment.now)[senders])
+        squares = _squares(moment.now)
+        if self.fading_known:
+            squares = moment.now.tau[:, None, None] * squares
+        seen = sum_by_receiver(network, squares[senders])
         predicted = self.x @ A.T
         self.x = mixed[..., 0] @ A.T + self.gain * (heard - (seen @ predicted[..., None])[..., 0])
+
+
+class CsgfTau(Csgf):
+    """The same with the mean of the fading in its innovation:
+
+        x_i = A sum_j a_ij (x_j + e_ij) + alpha sum_{j in N_i} C_j' (y_j - tau_j C_j A x_i)
+
+    The gain is the same; as tau_j <= 1, it stays stable where all see the same (docs/decisions/0043).
+    """
+
+    name = "CSGF-tau"
+    meaning = "consensus filter with one scalar gain and tau C in its innovation"
+    fading_known = True
 
 
 class DseaCp(ChannelFilter):

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from tolnet.analysis.channel_filters import ChannelFilter, Drkf, DrkfSwf, Moment, moments
-from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, DseaCp
+from tolnet.analysis.comparison_filters import Ckf, CkfTau, Crkf, Csgf, CsgfTau, DseaCp
 from tolnet.analysis.corrupted_truth import Truth, walk_corrupted
 from tolnet.analysis.stacked import definite, inverse
 from tolnet.model import CorruptedNetwork, UnsupportedError
@@ -25,7 +25,7 @@ from tolnet.model.corrupted_simulation import CorruptedSimulation
 BATCH, MOST_NUMBERS = 250, 500_000
 """Runs drawn from one child of the seed; fewer where one matrix a pair and run were more numbers than that."""
 CHANNEL_FILTERS: dict[str, type[ChannelFilter]] = {
-    kind.name: kind for kind in (Drkf, DrkfSwf, Ckf, CkfTau, Crkf, Csgf, DseaCp)
+    kind.name: kind for kind in (Drkf, DrkfSwf, Ckf, CkfTau, Crkf, Csgf, CsgfTau, DseaCp)
 }
 """The filters by name."""
 _ABSURD = 1e12

@@ -44,7 +44,7 @@ def simulate(
             "--filters",
             metavar="A,B",
             help="Some of KFC, RKFC, KFD, RKFDU, RKFDNU, RKFDNU2; over corrupted channels of DRKF, DRKF-SWF, CKF,"
-            " CKF-tau, CRKF, CSGF, DSEA-CP; all without.",
+            " CKF-tau, CRKF, CSGF, CSGF-tau, DSEA-CP; all without.",
         ),
     ] = None,
     diffusion: Rule = None,
@@ -139,10 +139,13 @@ def simulate(
 
 def _open(problem: str, filters: str | None, console: Console) -> SensorNetwork | CorruptedNetwork:
     """The problem as the filters that are named see it; as what it is, where they do not tell."""
+    from tolnet.analysis import CHANNEL_FILTERS
+    from tolnet.model.history import FILTERS
+
     named = {word.strip().upper() for word in (filters or "").split(",")}
-    if named & {"KFC", "RKFC", "KFD", "RKFDU", "RKFDNU", "RKFDNU2"}:
+    if named & {name.upper() for name in FILTERS}:
         return open_problem(problem, console)
-    if named & {"DRKF", "DRKF-SWF", "CKF", "CKF-TAU", "CRKF", "CSGF", "DSEA-CP"}:
+    if named & {name.upper() for name in CHANNEL_FILTERS}:
         return open_corrupted(problem, console)
     return open_any(problem, console)
 

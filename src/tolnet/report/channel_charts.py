@@ -24,6 +24,7 @@ COLOURS = {
     "CKF-tau": "#edae49",
     "CRKF": "#1f2933",
     "CSGF": "#3a9a6b",
+    "CSGF-tau": "#9bd34b",
     "DSEA-CP": "#9a6bb0",
 }
 """One colour a filter in every picture."""
@@ -108,4 +109,11 @@ def _finish(figure: Figure, title: str, found: Mapping[str, CorruptedSimulation]
         note = "diverges" if each.status != Status.OK else "grows" if each.grows else ""
         labels.append(f"{name} ({note})" if note else name)
     handles = [Line2D([], [], color=COLOURS[name], linewidth=2.6) for name in found]
-    figure.legend(handles, labels, loc="outside lower center", ncols=7, frameon=False, labelcolor=INK)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=len(found) if len(found) <= 5 else 4,
+        frameon=False,
+        labelcolor=INK,
+    )
