@@ -107,7 +107,7 @@ def test_without_noise_a_stable_plant_has_no_steady_state(seed: int):
 @pytest.mark.parametrize("noise", [1e-6, 1e-12, 1e-20, 1e-100])
 @pytest.mark.parametrize("c", [1e-4, 0.02, 5.0])
 def test_the_tolerance_alone_keeps_a_filter_awake(noise: float, c: float):
-    """n = 1: V = kappa P, so P = A^2 kappa P / (1 + kappa S P) + Q, a quadratic; from a tiny start P grows for long."""
+    """n = 1: V = kappa P, so P = A^2 kappa P / (1 + kappa S P) + Q, a quadratic; a tiny P grows for long."""
     A, S = 0.999, 1.0
     state = analysis.solve_steady_states(np.array([[A]]), np.array([[noise]]), np.array([[[S]]]), np.array([c]))[0]
     kappa = 1 + float(scalar_excess(np.array([c]))[0])

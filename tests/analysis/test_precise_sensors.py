@@ -31,7 +31,7 @@ def test_precise_sensors_have_answers(variance):
 @pytest.mark.parametrize("variance", [1e-14, 1e-18, 1e-25])
 @pytest.mark.parametrize("c", [0.0, 0.02, 1e6])
 def test_sensors_beyond_doubles_have_a_table(variance: float, c: float):
-    """The table is right to six digits, from the rows of the sensors; performance, which doubles compute, is refused."""
+    """The table is right to six digits, from the sensors' rows; performance, computed in doubles, is refused."""
     own = network(variance)
     table = design.choose_tolerances(own, c)
     assert table.ok

@@ -13,7 +13,7 @@ import numpy as np
 from mpmath import eig, matrix, mp, mpf
 from numpy import ndarray
 from tests.reference import fifty_digits
-from tests.reference.exact import exact, eye, inverse, rounded, solve
+from tests.reference.exact import exact, eye, inverse, log, rounded, solve
 
 from tolnet.model import SensorNetwork
 
@@ -68,9 +68,7 @@ def polish(filter: Filter, c: Any, P: ndarray, theta: float) -> Truth:
         loop = A @ inverse(I + V @ S)
         gain = A @ solve(I + V @ S, V) @ filter.weighted
         radius = max(abs(x) for x in eig(matrix(loop.tolist()), left=False, right=False))
-        return Truth(
-            rounded(exact_P), rounded(V), float(exact_theta), rounded(gain), float(radius), exact_P, V
-        )
+        return Truth(rounded(exact_P), rounded(V), float(exact_theta), rounded(gain), float(radius), exact_P, V)
 
 
 def _settled(A: ndarray, Q: ndarray, S: ndarray, P: ndarray) -> ndarray:
@@ -90,7 +88,7 @@ def local_tolerance(filter: Filter, truth: Truth) -> float:
         P, V, I = truth.exact_P, truth.exact_V, eye(len(filter.A))
         local = filter.A @ solve(I + V @ filter.S, V) @ filter.A.T + filter.Q
         ratio = solve(local, V - P)
-        return float(sum(np.diag(ratio)) - mp.log(fifty_digits.determinant(I + ratio)))
+        return float(sum(np.diag(ratio)) - log(fifty_digits.determinant(I + ratio)))
 
 
 def attraction(filter: Filter, c: float, truth: Truth) -> float:

@@ -17,7 +17,17 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.fixed_point import DENSE_UP_TO, Derivative, Filtered, Inflated, Recursion, Step, relative_defect, resolve, uncancelled
+from tolnet.analysis.fixed_point import (
+    DENSE_UP_TO,
+    Derivative,
+    Filtered,
+    Inflated,
+    Recursion,
+    Step,
+    relative_defect,
+    resolve,
+    uncancelled,
+)
 
 _EPS = np.finfo(float).eps
 _SMALL = 1e-3  # an attraction below which its relative error is looked at apart
@@ -27,7 +37,7 @@ _SENSITIVE = 1e-10  # an error of the loop's spectral radius above which the att
 def relative_error(
     recursion: Recursion, P: Float[ndarray, "K n n"], taken: Step, slope: Derivative
 ) -> Float[ndarray, " K"]:
-    """The largest relative error of P and V in the units of each state, of theta, and of the gain in those of its noise.
+    """The largest relative error of P and V in the units of each state, of theta, and of the gain in its noise's.
 
     `taken` is the step from the fixed point P and `slope` its derivative there. NaN or inf where nothing can be said.
     """

@@ -72,7 +72,7 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
 
 
 class Wanderers(NamedTuple):
-    """Where filters go whose steady state is on no path from the Kalman filter: guesses, and whether they grow away."""
+    """Where filters go whose steady state is on no path from the Kalman filter: guesses, and who grows away."""
 
     guesses: tuple[Float[ndarray, "K n n"], ...]
     diverges: Bool[ndarray, " K"]

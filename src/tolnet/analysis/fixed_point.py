@@ -43,7 +43,7 @@ class Recursion:
 
     @property
     def start(self) -> Float[ndarray, "n n"] | None:
-        """From which P the stabilising solution is reached at a fixed theta: zero (None) where Q drives all that grows."""
+        """From where doubling reaches the stabilising solution: zero (None) where Q drives all that grows."""
         return np.eye(len(self.A)) if self.undriven else None
 
     def part(self, index: ndarray) -> Recursion:
@@ -134,10 +134,10 @@ def step(recursion: Recursion, P: Float[ndarray, "K n n"]) -> Step:
 
 
 class Derivative(NamedTuple):
-    """dT = K (q * E) K' + thrust dtheta,  dtheta = -sum a_i E_ii, in coordinates in which P is the identity (lines 4, 5).
+    """dT = K (q * E) K' + thrust dtheta,  dtheta = -sum a_i E_ii, in coordinates in which P = I (lines 4, 5).
 
-    dP = basis E basis', basis = U r^1/2 with r_i = lambda_i; where lambda_i is less than the rounding of P, r_i is that.
-    So no unit of a state and no direction in which P is small outweighs the others.
+    dP = basis E basis', basis = U r^1/2 with r_i = lambda_i; where lambda_i is less than the rounding of P, r_i is
+    that. So no unit of a state and no direction in which P is small outweighs the others.
     """
 
     U: Float[ndarray, "K n n"]

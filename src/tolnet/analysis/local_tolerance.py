@@ -18,7 +18,7 @@ from numpy import ndarray
 from tolnet.analysis import extended, stacked
 from tolnet.analysis.accuracy import reconstruction, step_rounding
 from tolnet.analysis.divergence import divergence
-from tolnet.analysis.extended import Matrix
+from tolnet.analysis.extended_algebra import Matrix, NoAnswer, precision
 from tolnet.analysis.fixed_point import Inflated, filter_information, inflate_covariance
 from tolnet.analysis.sources import Sources
 from tolnet.model import SensorNetwork, SteadyState, UnsupportedError
@@ -52,7 +52,7 @@ class LocalTolerances:
         """c_k of node k to the last digit; NaN where the centre has no steady state in extended precision."""
         if self._centre is None:
             return np.nan
-        with extended.precision():
+        with precision():
             found = extended.seen_tolerance(self._nodes.plant(k), *self._centre)
         c = float(self._central.tolerance)
         return min(found, c) if found <= c * (1 + _ROUNDING) else found
@@ -62,7 +62,7 @@ class LocalTolerances:
         central, centre = self._central, Sources.of_centre(self._network)
         try:
             return centre.covariances(0, float(central.tolerance), (central.P, float(central.theta)))
-        except extended.NoAnswer:
+        except NoAnswer:
             return None
 
 
@@ -70,7 +70,8 @@ def local_tolerances(network: SensorNetwork, central: SteadyState) -> Float[ndar
     """c_k of every node on the gamma scale, from the steady state of the central filter, eq. (42).
 
     Uses n x n matrices only, and no difference of large numbers: V - P and V^-1 + S_k are formed in the eigenbasis of
-    the central P. What doubles cannot vouch for to eight digits comes from extended precision. 0 <= c_k <= c; a node that hears everybody has c_k = c. NaN where the centre has no steady state.
+    the central P. What doubles cannot vouch for to eight digits comes from extended precision. 0 <= c_k <= c; a node
+    that hears everybody has c_k = c. NaN where the centre has no steady state.
     Raises UnsupportedError for tau != 0: local tolerances are defined for Kullback-Leibler balls only.
     Source: eqs. (30), (31), (42); docs/mathematics.md, section 3.
     """

@@ -39,8 +39,8 @@ def solve_riccati(
         X = F X (I + W G X)^-1 F' + (A W'P_0 A' + Q - P_0),   W = (I + G P_0)^-1,   F = A W'
 
     Assumes no undriven mode on the circle and, for theta = 0, (A, S) detectable: without them it converges to a
-    solution that is not the one wanted, so test first. For theta > 0 a breakdown shows as a NaN or large `residual`, and says that
-    theta is beyond what the branch allows. Residual: |right-hand side - P| / |P| in the Frobenius norm.
+    solution that is not the one wanted, so test first. For theta > 0 a breakdown shows as a NaN or large `residual`,
+    and says that theta is beyond what the branch allows. Residual: |right-hand side - P| / |P| in the Frobenius norm.
     Source: E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, Int. J. Control 77, 2004.
     """
     K, n = len(G), len(A)

@@ -11,7 +11,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import extended
-from tolnet.analysis.extended import Extended, Matrix, Plant
+from tolnet.analysis.extended import Extended
+from tolnet.analysis.extended_algebra import Matrix, matrix, precision
+from tolnet.analysis.extended_equations import Plant
 from tolnet.model import SensorNetwork
 
 
@@ -23,12 +25,12 @@ class Sources:
     B: Float[ndarray, "n m"] | None
     Q: Float[ndarray, "n n"]
     information: Callable[[int], tuple[Matrix, Matrix | None]]
-    """S_k, and C' R^-1 where it is known; called inside `extended.precision()`."""
+    """S_k, and C' R^-1 where it is known; called inside `precision()`."""
 
     @classmethod
     def of_matrices(cls, A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], S: Float[ndarray, "K n n"]) -> Sources:
         """Taken as they stand."""
-        return cls(A, None, Q, lambda k: (extended.matrix(S[k]), None))
+        return cls(A, None, Q, lambda k: (matrix(S[k]), None))
 
     @classmethod
     def of_nodes(cls, network: SensorNetwork) -> Sources:
@@ -51,10 +53,10 @@ class Sources:
 
     @cached_property
     def _plant(self) -> tuple[Matrix, Matrix]:
-        return extended.matrix(self.A), extended.noise_covariance(self.B, self.Q)
+        return matrix(self.A), extended.noise_covariance(self.B, self.Q)
 
     def plant(self, k: int) -> Plant:
-        """A, Q and S_k; called inside `extended.precision()`."""
+        """A, Q and S_k; called inside `precision()`."""
         return Plant(*self._plant, *self.information(k))
 
     def solve(
@@ -69,10 +71,10 @@ class Sources:
         """The steady state of filter k at tolerance c, as `extended.solve_extended`."""
         if near is not None and not (np.isfinite(near[0]).all() and np.isfinite(near[1]) and near[0].any()):
             near = None
-        with extended.precision():
+        with precision():
             return extended.solve_extended(self.plant(k), c, near=near, undriven=undriven, only_near=only_near)[0]
 
     def covariances(self, k: int, c: float, near: tuple[Float[ndarray, "n n"], float]) -> tuple[Matrix, Matrix]:
-        """P and V of the steady state near a guess (P, theta), before rounding. Raises extended.NoAnswer."""
-        with extended.precision():
+        """P and V of the steady state near a guess (P, theta), before rounding. Raises NoAnswer."""
+        with precision():
             return extended.solve_extended(self.plant(k), c, near=near, only_near=True)[1:]

@@ -10,11 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from tolnet.analysis import extended, stacked
+from tolnet.analysis import stacked
 from tolnet.analysis.accuracy import error_loop, estimated_error
 from tolnet.analysis.continuation import ACCEPT, FixedPoints, find_wanderers, settle, solve_fixed_points
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
+from tolnet.analysis.extended import Extended
+from tolnet.analysis.extended_algebra import NoAnswer
 from tolnet.analysis.fixed_point import Recursion, attraction, derivative, inflate_covariance, relative_defect, step
 from tolnet.analysis.riccati import solve_riccati
 from tolnet.analysis.sources import Sources
@@ -156,15 +158,15 @@ def solve_steady_states(
 ) -> SteadyState:
     """Solve P = A (V^-1 + S_k)^-1 A' + Q, gamma(P, theta) = c_k for a stack of K filters that share A and Q.
 
-    Structured doubling at fixed theta inside a bracketed search in theta, then Newton's method on P, in doubles and in
-    stacks; blocks of filters run on all cores. What doubles cannot vouch for, and what lies past the fold, is solved
-    one by one in extended precision (tau = 0), from `sources`, which knows Q and S before rounding; without it from Q
-    and S. `refused` (K,) holds statuses known beforehand, such as `undetectable`: filters whose entry is not `ok` are
-    not solved. `refine` gives the exact c_k of those that are solved one by one. `undriven` says that A has modes outside the unit circle that Q does not drive. A NaN tolerance gives
-    `no-steady-state`. Raises InputError for a negative tolerance.
-    Accepted is what has an estimated error below 1e-7 in P and V (in the units of each state), theta, the gain and
-    both radii. Assumes A, Q, S finite; no undriven mode on the unit circle and (A, S_k) detectable where `refused` does
-    not say otherwise.
+    Structured doubling at fixed theta inside a bracketed search in theta, then Newton's method on P, in doubles and
+    in stacks; blocks of filters run on all cores. What doubles cannot vouch for, and what lies past the fold, is
+    solved one by one in extended precision (tau = 0), from `sources`, which knows Q and S before rounding; without it
+    from Q and S. `refused` (K,) holds statuses known beforehand, such as `undetectable`: filters whose entry is not
+    `ok` are not solved. `refine` gives the exact c_k of those that are solved one by one. `undriven` says that A has
+    modes outside the unit circle that Q does not drive. A NaN tolerance gives `no-steady-state`. Raises InputError
+    for a negative tolerance. Accepted is what has an estimated error below 1e-7 in P and V (in the units of each
+    state), theta, the gain and both radii. Assumes A, Q, S finite; no undriven mode on the unit circle and (A, S_k)
+    detectable where `refused` does not say otherwise.
     Source: eqs. (4), (8); docs/mathematics.md, section 4.
     """
     K, n, _ = S.shape
@@ -292,12 +294,12 @@ class _OneByOne:
         for turn, k in enumerate(doubt.tolist()):
             try:
                 if self.recursion.tau != 0:
-                    raise extended.NoAnswer("rounding leaves less than six digits of it")
+                    raise NoAnswer("rounding leaves less than six digits of it")
                 # Not from the doubles' P: a millionth away there may be another steady state, on no path from c = 0.
                 self._write(k, self.sources.solve(k, float(self.recursion.tolerance[k]), self.recursion.undriven))
                 if self.status[k] == Status.OSCILLATES:
                     self._settle(k)
-            except extended.NoAnswer as end:
+            except NoAnswer as end:
                 failed.append(k)
                 self._write_nothing(k, str(end))
             done(turn + 1)
@@ -333,12 +335,12 @@ class _OneByOne:
         c, undriven = float(self.recursion.tolerance[k]), self.recursion.undriven
         try:
             found = self.sources.solve(k, c, undriven, near, only_near=True)
-        except extended.NoAnswer:
+        except NoAnswer:
             return False
         self._write(k, found)
         return True
 
-    def _write(self, k: int, state: extended.Extended) -> None:
+    def _write(self, k: int, state: Extended) -> None:
         for name in ("P", "V", "filtered", *_NUMBERS):
             self.values[name][k] = getattr(state, name)
         self.values["iterations"][k] += state.iterations

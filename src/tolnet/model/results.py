@@ -56,7 +56,7 @@ class SteadyState(_ReadOnly):
     tolerance_residual: Float[ndarray, "*K"]
     """|gamma(P, theta) - c| / c (0 at c = 0), gamma recomputed from V and P as a divergence."""
     error: Float[ndarray, "*K"]
-    """Estimated relative error of all of these: of P and V in the units of each state, of the gain in those of its noise."""
+    """Estimated relative error of these and of the gain; of P and V in the units of each state."""
     iterations: Int[ndarray, "*K"]
     """Doubling solves plus Newton steps."""
     filtered: Float[ndarray, "*K n n"]
@@ -67,7 +67,7 @@ class SteadyState(_ReadOnly):
     status: ndarray
     """One of `Status` as text, (*stack,)."""
     reason: ndarray
-    """What ended the search where there is no answer, as text, (*stack,); empty elsewhere and where `status` says it."""
+    """What ended the search where there is no answer, as text, (*stack,); empty where `status` says it."""
 
     @cached_property
     def settles(self) -> Bool[ndarray, "*K"]:
