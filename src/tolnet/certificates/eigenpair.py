@@ -20,6 +20,7 @@ from scipy import sparse
 
 from tolnet.certificates import statements
 from tolnet.certificates.deployed import Deployed
+from tolnet.certificates.exact_network import unmixed_column
 from tolnet.certificates.numerals import matrix_text
 from tolnet.certificates.verdicts import Refuted, Undecided
 
@@ -33,6 +34,8 @@ def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: ndarray) 
     """Decide whether an exact eigenvalue of the network block lies near one found outside the unit circle."""
     block = {"block": "network" if deployed.centre is None else "F"}
     statement = statements.instability("network")
+    if unmixed := unmixed_column(deployed.weights, deployed.offsets):
+        return Undecided("schur-stability", statement, unmixed, keys=block)
     if len(mode) > MOST:
         reason = f"the network has {len(mode)} states; up to {MOST} an eigenvalue is validated"
         return Undecided("schur-stability", statement, reason, keys=block)
