@@ -220,14 +220,13 @@ def unmixed(weights: Weights, where: str) -> str | None:
     """Which column of W does not sum to one, as far as the rounding of its weights lets it; None where all do.
 
     Errors obey F only then: whatever a column lacks of one, or has too much, multiplies the state itself. A column of
-    m weights, divided by its sum in doubles, sums to one within m 2^-52 sigma, sigma = sum |w|: one ulp a weight, of
-    which division and sum take half. Weights that all are numbers of single precision were rounded once more.
+    m weights w >= 0, divided by its sum in doubles, sums to one within m 2^-52: one ulp a weight, of which division
+    and sum take half. Weights that all are numbers of single precision were rounded once more, by 2^-24 together.
     """
     single = all(w.numerator.bit_length() <= 24 for row in weights.values() for w in row.values())
     for k, row in weights.items():
-        allowed = (len(row) * Fraction(1, 2**52) + single * Fraction(1, 2**24)) * sum(map(abs, row.values()))
         total = sum(row.values(), Fraction(0))
-        if abs(total - 1) > allowed:
+        if abs(total - 1) > Fraction(len(row) + single * 2**28, 2**52):
             return f"{where}[{k}]: the weights sum to {float(total)!r} instead of one, so that F is no error dynamics"
     return None
 
@@ -700,7 +699,7 @@ def examine(claim: Any, at: Deployment | Channels, told: set[str]) -> Finding:
 
 
 def _subject(claim: dict[str, Any], name: str, verdict: str, node: int | str | None) -> str:
-    """What a claim speaks of: whatever it says, it is counted once. Of a filter, or of its performance, there is one."""
+    """What a claim speaks of: whatever it says, it is counted once. Of a filter, or of performance, there is one."""
     own, verify = RULES.get((name, verdict), ((), None))
     own = () if verify is performance else (*own, "drop", "scenarios")
     return repr((name, node, [(key, claim[key]) for key in own if key in claim] if name not in LOGARITHMIC else []))

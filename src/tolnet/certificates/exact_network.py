@@ -115,19 +115,21 @@ class ExactNetwork:
 
 
 def unmixed_column(weights: Float[ndarray, " L"], offsets: Int[ndarray, " N1"]) -> str | None:
-    """Which column of W does not sum to one, as far as rounding lets it, so that F is no error dynamics; None: all do.
+    """Which column of W does not sum to one, as far as rounding lets it: F is no error dynamics then. None: all do.
 
-    A column of m weights that are not zero, normalised in doubles, sums to one within m 2^-52 sum |w|, an ulp a
-    weight; where all weights are numbers of single precision, each was rounded once more, by 2^-24 |w| at most.
+    A column of m weights w > 0, divided by its sum in doubles, sums to one within m 2^-52, an ulp a weight; where all
+    weights are numbers of single precision, each was rounded once more, by 2^-24 w at most. (Were the bound relative
+    to sum |w|, weights that cancel could sum to anything.)
     Source: docs/certificate.md, `data`.
     """
     single = bool((np.frexp(weights)[0] * 2.0**24 % 1 == 0).all())
     w = Exact.of(weights)
     unit = min(w.exponent, 0)
     w = Exact(w.ints << (w.exponent - unit), unit)
-    total, size = segment_sums(w, offsets), segment_sums(abs(w), offsets)
-    shares = segment_sums(Exact((weights != 0).astype(object) + 0, 0), offsets).ints + (single << 28)  # of 2^-52
-    off = np.flatnonzero((abs(total.ints - (1 << -unit)) << 52) > shares * size.ints)
+    total = segment_sums(w, offsets)
+    ulps = segment_sums(Exact((weights != 0).astype(object) + 0, 0), offsets).ints + (single << 28)
+    one = 1 << -unit
+    off = np.flatnonzero(abs(total.ints - one) * 2**52 > ulps * one)
     if not len(off):
         return None
     found = float(total[off[:1]].rounded()[0])

@@ -1,7 +1,7 @@
 """The sentences of a certificate, fixed by the other keys of a claim (docs/certificate.md, Statements).
 
 They say what someone who reads them alone would otherwise take for granted: that gains are constant, which model is
-the least favourable one, that tolerances are on the gamma scale, that attraction is local, relative to what a radius is.
+the least favourable one, that tolerances are on the gamma scale, that attraction is local, what a radius is part of.
 """
 
 from __future__ import annotations
@@ -84,25 +84,25 @@ def who(node: int | str) -> str:
 def steady_state(node: int | str, c: float, radius: float, gain_error: float) -> str:
     """Of `steady-state`."""
     return (
-        f"An exact steady state of {who(node)} at the tolerance {c!r} (gamma) lies within {radius!r} of the stated one,"
-        f" relative to sqrt(P_ii P_jj) and to theta, and its gain within {gain_error!r} of the stated one, relative to"
-        " the largest entry."
+        f"An exact steady state of {who(node)} at the tolerance {c!r} (gamma) lies within {radius!r} of the stated"
+        f" one, relative to sqrt(P_ii P_jj) and to theta, and its gain within {gain_error!r} of the stated one,"
+        " relative to the largest entry."
     )
 
 
 def attraction(node: int | str, c: float, rate: float) -> str:
     """Of a proved `attraction`."""
     return (
-        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) attracts locally: covariances that start near"
-        f" it approach it, in the end by a factor of at most {rate!r} a step."
+        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) attracts locally: covariances that start"
+        f" near it approach it, in the end by a factor of at most {rate!r} a step."
     )
 
 
 def repulsion(node: int | str, c: float) -> str:
     """Of a refuted `attraction`."""
     return (
-        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) does not attract: some covariances that start"
-        " as near to it as you like move away."
+        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) does not attract: some covariances that"
+        " start as near to it as you like move away."
     )
 
 
@@ -125,8 +125,8 @@ def convergence(node: int | str, c: float) -> str:
 def convergence_all(node: int | str, c: float) -> str:
     """Of `convergence-all`."""
     return (
-        f"The covariances of the filter of {who(node)} at the tolerance {c!r} (gamma) converge to one steady state from"
-        " every start."
+        f"The covariances of the filter of {who(node)} at the tolerance {c!r} (gamma) converge to one steady state"
+        " from every start."
     )
 
 
