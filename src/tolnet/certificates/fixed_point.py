@@ -253,8 +253,8 @@ def gain_distance(exact: ExactFilter, box: Box, gain: Sequence[Float[ndarray, "n
     """How far a stated gain is from that of the steady state in the box, in units of states and outputs.
 
     The largest |entry_ij of stated - exact| sqrt(Sigma_jj / U_ii), Sigma = C V C' + R the covariance of innovations
-    and U = A V A' + Q that of the prediction without them; None where no bound was found. G Sigma G' <= A V A' makes exact entries at most 1 in these
-    units; `gain_error` is relative to the largest entry, beside which those of a state in small units vanish.
+    and U = A V A' + Q that of the prediction without them; None where no bound was found. Exact entries are at most 1
+    in these units, since G Sigma G' <= A V A'; beside the largest entry, those of states in small units would vanish.
     """
     found = enclose(exact, box)
     if isinstance(found, NotProved) or len(gain) != len(exact.sensors):

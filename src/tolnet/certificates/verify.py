@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
-from tolnet.certificates import filter_claims, fixed_point, statements
+from tolnet.certificates import balls, filter_claims, fixed_point, statements
+from tolnet.certificates.balls import NotProved
 from tolnet.certificates.clock import OutOfTime, until
 from tolnet.certificates.deployed import Deployed
 from tolnet.certificates.eigenpair import MOST, validate
@@ -109,6 +111,20 @@ def gain_distances(stated: Sequence[tuple[Node, float, Box]], deployed: Deployed
         except (ValueError, ArithmeticError):
             found.append(None)
     return found
+
+
+def exact_centre(c: float, box: Box, deployed: Deployed) -> tuple[ndarray, ndarray, float] | None:
+    """The doubles nearest to P, V = (P^-1 - theta I)^-1 and theta of the centre's steady state in the box, at c."""
+    try:
+        found = fixed_point.enclose(ExactFilters(deployed).filter("centre", c), box)
+        if isinstance(found, NotProved):
+            return None
+        with balls.working_precision(found.bits):
+            at = found.equations.at(found.P, found.theta)
+            V = found.P if at.H is None else balls.symmetric_part(at.H * found.P)
+            return balls.midpoints(found.P), balls.midpoints(V), float(found.theta.mid())
+    except (ValueError, ArithmeticError):
+        return None
 
 
 def _longest_text(deployed: Deployed) -> int:
