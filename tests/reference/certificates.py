@@ -258,8 +258,8 @@ def said_stable(block: str, rate: float | None = None) -> str:
 def said_unstable(which: str = "network") -> str:
     """Of a refuted `schur-stability`."""
     return (
-        f"With the stated weights and constant gains, some eigenvalue of the {which} block of the error dynamics lies "
-        "outside the unit circle: errors grow."
+        f"With the stated weights and constant gains, some eigenvalue of the {which} block of the error dynamics "
+        "lies outside the unit circle: errors grow."
     )
 
 

@@ -170,13 +170,12 @@ def _other_tolerance(label: tuple[Any, Any, Any], against: Against) -> str | Non
 
 def _said(tolerance: Any, convention: Any, tau: Any) -> Ambiguity | str:
     """What labels say, or why they say nothing."""
-    from tolnet.model import Ambiguity, InputError
+    from tolnet.model import CONVENTIONS, Ambiguity, InputError
 
-    if not (type(tolerance) in (int, float) and type(tau) in (int, float) and isinstance(convention, str)):
+    if not (type(tolerance) in (int, float) and type(tau) in (int, float) and convention in CONVENTIONS):
         return "with no tolerance"
     try:
-        known: Any = convention
-        return Ambiguity(tolerance, known, tau)
+        return Ambiguity(float(tolerance), convention, float(tau))
     except InputError as error:
         return f"with no tolerance: {error}"
 
