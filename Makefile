@@ -34,9 +34,10 @@ check: $(STAMP) ## style, types, import directions
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
 
-study: $(STAMP) ## the notebooks at full size; 10,000 altered certificates; mutants of the checker
+study: $(STAMP) ## the notebooks at full size; 10,000 altered, 300 forged, 1,000 malformed certificates; mutants of the checker
 	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
-	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py
+	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py tests/cli/test_forgeries.py \
+	  tests/cli/test_malformed_certificates.py
 	@$(BIN)/python scripts/mutate_checker.py
 
 format: $(STAMP) ## put the code into the house style

@@ -34,7 +34,7 @@ CLAIMS = ("steady-state", "attraction", "tolerance")
 def networks() -> dict[str, model.SensorNetwork]:
     """Small networks: a path in mixed units, a star with a relay, a one-way ring."""
     D = np.array([[0.5, 0.0], [0.1, 0.7]])
-    own = {"ambiguity": model.Ambiguity(C)}
+    own: dict[str, Any] = {"ambiguity": model.Ambiguity(C)}
     units = np.diag([1.0, 1e-6])  # the second state in millions of its unit
     A, B = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.1, 0.0], [0.0, 0.2]])
     H = [np.array([[1.0, 0.0]]), np.array([[1.0, 0.5]]), np.eye(2)]
