@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.certificates.deployments import deployment_of, random_network
 from tests.certificates.examples import certificate, certificates
 from tests.reference.certificate_truth import mixes
 
 from tolnet import model
 from tolnet.certificates.check import check, unmixed
 from tolnet.certificates.deployed import Deployed
-from tolnet.certificates.eigenpair import sparse_block
-from tolnet.certificates.exact_network import unmixed_column
+from tolnet.certificates.eigenpair import refute_by_eigenpair, sparse_block
+from tolnet.certificates.exact_network import ExactNetwork, unmixed_column
+from tolnet.certificates.stability import refute_stability
+from tolnet.certificates.switching import Scenario
+from tolnet.certificates.verdicts import Proved, Undecided
+from tolnet.cli.evidence import Evidence
 
 ULP, SINGLE = 2.0**-52, 2.0**-24
 
@@ -74,6 +80,35 @@ def test_what_is_normalised_is_accepted(seed: int):
     columns = [w / w.sum() for w in (10.0 ** rng.uniform(-6, 6, size) for size in sizes)]
     assert not refused(*(w.tolist() for w in columns))
     assert not refused(*(w.astype(np.float32).astype(float).tolist() for w in columns))
+
+
+def test_provers_and_the_ball_checker_decline_other_columns():
+    """Half of every weight: proofs of half of the network would be found, and are about no filter."""
+    deployed = deployment_of(random_network(3))
+    honest, other = Evidence(deployed), Evidence(replace(deployed, weights=deployed.weights / 2))
+    for decide in (
+        Evidence.stability,
+        Evidence.performance,
+        lambda e: e.decay_rate(None),
+        lambda e: e.link_losses(1),
+    ):
+        verdict = decide(other)
+        assert isinstance(verdict, Undecided)
+        assert "instead of one" in verdict.reason
+    scenario = Scenario(weights=deployed.weights / 2)
+    assert isinstance(honest.scenarios([Scenario(weights=deployed.weights)]), Proved)
+    verdict = honest.scenarios([scenario])
+    assert isinstance(verdict, Undecided)
+    assert "instead of one" in verdict.reason
+    grown = replace(deployed, weights=10 * deployed.weights)
+    network = ExactNetwork(grown)
+    n = deployed.N * deployed.n
+    for refuted in (
+        refute_stability(network, "network", np.eye(n), np.ones(n)),
+        refute_by_eigenpair(grown, 2.0 + 0j, np.ones(n, dtype=complex)),
+    ):
+        assert isinstance(refuted, Undecided)
+        assert "instead of one" in refuted.reason
 
 
 # ---- What is told twice ----
