@@ -5,11 +5,11 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 export MPLBACKEND := Agg
 
-.PHONY: demo test check bench study lock format clean help
+.PHONY: demo test test-fast check bench study lock format clean help
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 11
 
 $(STAMP): requirements/lock.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -21,9 +21,12 @@ $(STAMP): requirements/lock.txt pyproject.toml
 demo: $(STAMP) ## the projectile network: problem, tolerance table, performance and certificate, in ./demo
 	@$(BIN)/python scripts/demo.py demo
 
-test: $(STAMP) ## every test, notebooks included
+test: $(STAMP) ## every test at its quick size, notebooks included: some ten minutes of processor time
 	@$(BIN)/python -m pytest -n 2 --dist worksteal tests
-	@$(BIN)/python -m pytest -n 2 --nbmake --nbmake-timeout=300 notebooks
+	@$(BIN)/python -m pytest -n 2 --nbmake --nbmake-timeout=900 notebooks
+
+test-fast: $(STAMP) ## the daily loop: a part of the tests from every room, within a minute
+	@$(BIN)/python -m pytest -q -n 2 --dist worksteal --fast tests
 
 check: $(STAMP) ## style, types, import directions
 	@$(BIN)/ruff check .
@@ -34,10 +37,9 @@ check: $(STAMP) ## style, types, import directions
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
 
-study: $(STAMP) ## the notebooks at full size; 10,000 altered, 300 forged, 1,000 malformed certificates; mutants of the checker
+study: $(STAMP) ## all at full size (TOLNET_STUDY=full): notebooks, tests, 10,000 altered and 460 forged certificates, mutants of the checker
 	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
-	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py tests/cli/test_forgeries.py \
-	  tests/cli/test_malformed_certificates.py
+	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 --dist worksteal tests
 	@$(BIN)/python scripts/mutate_checker.py
 
 format: $(STAMP) ## put the code into the house style

@@ -137,7 +137,7 @@ def test_tau_is_refused():
 
 
 def test_without_a_tolerance_a_filter_has_no_history_while_the_others_have():
-    network = SensorNetwork(A=np.diag([1.25, 0.5]), B=[[0.0], [1.0]], C=np.ones((1, 1, 2)), R=[[[1.0]]], edges=[])
+    network = SensorNetwork(A=np.diag([1.0, 0.5]), B=[[0.0], [1.0]], C=np.ones((1, 1, 2)), R=[[[1.0]]], edges=[])
     table, W = choose_tolerances(network, 0.01), diffusion_matrix(network)
     assert np.isnan(table.local.tolerance).all()
     histories, simulated = follow_filters(table, W, 5), simulate_filters(table, W, runs=60, steps=4)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 
 import pytest
@@ -10,10 +9,11 @@ from tests.certificates.alterations import at_random, designed
 from tests.certificates.examples import certificate, certificates
 from tests.reference.certificate_truth import is_true
 from tests.reference.certificates import Document
+from tests.study import sized
 
 from tolnet.certificates.check import Finding, Refused, check
 
-RANDOM = 10_000 if os.environ.get("TOLNET_STUDY") == "full" else 1_000
+RANDOM = sized(1_000, 10_000)
 
 
 def findings(document: Document) -> list[Finding]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from pathlib import Path
 
 import pytest
 from tests.certificates.forgeries import Forgery, Kit, forgeries, networks, written
 from tests.cli.conftest import Tolnet
+from tests.study import sized
 
-STRIDE = 1 if os.environ.get("TOLNET_STUDY") == "full" else 11
+STRIDE = sized(11, 1)
 
 
 @cache

@@ -13,6 +13,7 @@ import pytest
 from tests.certificates.deployments import deployment_of, document
 from tests.certificates.malformed import labels, spoilt
 from tests.cli.conftest import Tolnet
+from tests.study import sized
 
 import tolnet.cli.check as command
 from tolnet import model
@@ -22,7 +23,7 @@ from tolnet.certificates.verdicts import Proved, Refuted
 from tolnet.cli.evidence import Evidence
 from tolnet.design import choose_tolerances
 
-RANDOM = 1_000 if os.environ.get("TOLNET_STUDY") == "full" else 150
+RANDOM = sized(150, 1_000)
 BATCH = 25
 
 

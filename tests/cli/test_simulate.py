@@ -98,7 +98,7 @@ def test_runs_that_leave_the_range_of_doubles_are_no_answer(
 def test_without_a_tolerance_one_filter_is_not_run(tolnet: Tolnet, tmp_path: Path):
     path = tmp_path / "undriven.toml"
     network = model.SensorNetwork(
-        A=np.diag([1.25, 0.5]), B=[[0.0], [1.0]], C=np.ones((1, 1, 2)), R=[[[1.0]]], edges=[], name="undriven",
+        A=np.diag([1.0, 0.5]), B=[[0.0], [1.0]], C=np.ones((1, 1, 2)), R=[[[1.0]]], edges=[], name="undriven",
         ambiguity=model.Ambiguity(0.01),
     )  # fmt: skip
     model.save(network, path)

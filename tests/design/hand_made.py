@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tolnet.model import Convention, SensorNetwork, Status, SteadyState, ToleranceTable, gamma_per
+from tolnet.model.covariances import condition
 
 
 def hand_made(
@@ -36,6 +37,8 @@ def hand_made(
         answered = np.isin(status, [Status.OK.value, Status.OSCILLATES.value])
         gap = np.where(answered, 0.0, np.nan)
 
+        posterior = condition(V[which], S)
+
         def numbers(value: Any) -> np.ndarray:
             return np.asarray(value + gap)
 
@@ -52,8 +55,12 @@ def hand_made(
             attraction=numbers(np.where(status == Status.OSCILLATES.value, 1.25, 0.75)),
             riccati_residual=numbers(1e-16),
             tolerance_residual=numbers(1e-16),
+            error=numbers(1e-15),
             iterations=np.ones(np.shape(gap), dtype=np.int64),
+            filtered=posterior.covariance + gap[..., None, None],
+            gains={},
             status=status,
+            reason=np.full(np.shape(gap), "", dtype=object),
         )
 
     return ToleranceTable(

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 from scipy import sparse
+from tests import study
 from tests.instances import ring_projectile
 from tests.instances_random import random_network
 from tests.reference import tau as naive_tau
@@ -38,7 +39,7 @@ networks = st.builds(
     Drawn, seed=st.integers(0, 10**6), n=st.integers(1, 5), N=st.integers(1, 8), directed=st.booleans()
 )
 tolerances = st.floats(-8, 2).map(lambda decade: 10.0**decade)
-few = settings(max_examples=15)
+few = study.few()
 
 
 def changed(network: SensorNetwork, *, T: ndarray | None = None, **graph: object) -> SensorNetwork:

@@ -10,6 +10,7 @@ from tolnet.analysis.error_bound import error_bound
 from tolnet.analysis.error_dynamics import error_dynamics
 from tolnet.analysis.filters import evaluate_filters, follow_filters
 from tolnet.analysis.fusion_weights import solve_fusion_weights
+from tolnet.analysis.hidden_modes import Mode
 from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.limits import published_bound, tolerance_limits
 from tolnet.analysis.local_tolerance import local_tolerances
@@ -29,6 +30,7 @@ from tolnet.analysis.trajectories import simulate_least_favourable
 __all__ = [
     "CHANNEL_FILTERS",
     "Detectability",
+    "Mode",
     "Record",
     "channel_filters",
     "detectability",

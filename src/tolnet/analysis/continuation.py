@@ -27,31 +27,33 @@ _NEAR = 0.05  # how close, in phi and log gamma, the search must come before New
 _MOST_SEARCH = 60
 _NEARLY_AT_REST = 1e-4  # the same, for an orbit that is still on its way when it is left
 _AT_REST = 1e-9  # relative change in one step below which an orbit has come to rest
-_GONE = 1e9  # growth of the trace from which on an orbit is taken to diverge
+_GONE = 1e60  # growth of the trace from which on an orbit is not followed further
+_MOST_STEPS = 3000
+_STRETCHES = 6  # pieces of an orbit whose growth is compared
+_MOST_STRIDES = 400
 _FARTHEST = 0.15  # relative change of P in one stride; with more, Newton has been seen to land on another branch
 _PATH_START = 1e-7  # a tolerance so small that Newton's method gets there from the Kalman filter
 
 
 class FixedPoints(NamedTuple):
-    """P = T_c(P) of a stack, where `found`; the best attempt elsewhere. `diverges` where the recursion grew away."""
+    """P = T_c(P) of a stack, where `found`; the best attempt elsewhere."""
 
     P: Float[ndarray, "K n n"]
     found: Bool[ndarray, " K"]
     iterations: Int[ndarray, " K"]
-    diverges: Bool[ndarray, " K"]
 
 
 def solve_fixed_points(recursion: Recursion) -> FixedPoints:
     """Solve P = T_c(P) for the steady state that is joined to the Kalman filter's by a path of falling c.
 
-    Assumes (A, Q) stabilisable and (A, S_k) detectable for every member.
+    Not `found` are, for tau = 0, those beyond the fold, at which theta stops rising along the path.
+    Assumes no undriven mode on the unit circle and (A, S_k) detectable for every member.
     """
-    kalman = solve_riccati(recursion.A, recursion.Q, recursion.S)
+    kalman = solve_riccati(recursion.A, recursion.Q, recursion.S, recursion.start)
     usable = is_valid(kalman.P, np.zeros(len(kalman.P)), kalman.residual)
     iterations = kalman.doublings.copy()
     P, found = kalman.P.copy(), np.zeros(len(iterations), dtype=bool)
     start, reached = kalman.P.copy(), np.zeros(len(iterations))
-    diverges = np.zeros(len(iterations), dtype=bool)
     todo = np.flatnonzero(usable)
     if recursion.tau == 0:
         near = search(recursion.part(todo), kalman.P[todo])
@@ -59,30 +61,55 @@ def solve_fixed_points(recursion: Recursion) -> FixedPoints:
         iterations[todo] += near.doublings
     polished = newton(recursion.part(todo), start[todo])
     good = polished.residual <= ACCEPT
-    P[todo[good]], found[todo[good]] = polished.P[good], True
+    P[todo], found[todo[good]] = polished.P, True
     iterations[todo] += polished.steps
     rest = todo[~good]
-    if rest.size:
+    if rest.size and recursion.tau != 0:
         end = follow(recursion.part(rest), start[rest], reached[rest])
         P[rest[end.found]], found[rest] = end.P[end.found], end.found
         iterations[rest] += end.iterations
-        rest = rest[~end.found]
-    if rest.size:
-        # The path turned back in c. A steady state exists all the same where every mode is observable: look where
-        # the filter itself goes. Without process noise the Kalman filter's P may be zero, but no filter starts there.
-        certain = np.trace(kalman.P[rest], axis1=-2, axis2=-1) == 0
-        begin = np.where(certain[:, None, None], np.eye(len(recursion.A)), kalman.P[rest])
-        orbit = wander(recursion.part(rest), begin, steps=3000)
-        iterations[rest] += orbit.steps
-        diverges[rest] = orbit.diverges
-        for guess in (orbit.centre, orbit.calmest):
-            left = ~found[rest]
-            caught = newton(recursion.part(rest[left]), guess[left])
-            good = caught.residual <= ACCEPT
-            at = rest[left][good]
-            P[at], found[at] = caught.P[good], True
-            iterations[rest[left]] += caught.steps
-    return FixedPoints(P, found, iterations, diverges)
+    return FixedPoints(P, found, iterations)
+
+
+class Wanderers(NamedTuple):
+    """Where filters go whose steady state is on no path from the Kalman filter: guesses, and whether they grow away."""
+
+    guesses: tuple[Float[ndarray, "K n n"], ...]
+    diverges: Bool[ndarray, " K"]
+    steps: int
+
+
+def find_wanderers(recursion: Recursion) -> Wanderers:
+    """Run the recursion from the upper bracket, or from the Kalman filter where it is unbounded (section 6).
+
+    Where the bracket exists nothing diverges. A steady state exists all the same where every mode is observable, and
+    the mean and the calmest point of the orbit are near it.
+    """
+    P, bounded = upper_bracket(recursion)
+    kalman = solve_riccati(recursion.A, recursion.Q, recursion.S, recursion.start)
+    usable = is_valid(kalman.P, np.zeros(len(P)), kalman.residual) & (np.trace(kalman.P, axis1=-2, axis2=-1) > 0)
+    begin = np.where(usable[:, None, None], kalman.P, np.eye(len(recursion.A)))
+    orbit = wander(recursion, np.where(bounded[:, None, None], P, begin), steps=_MOST_STEPS)
+    return Wanderers((orbit.centre, orbit.calmest), orbit.diverges & ~bounded, orbit.steps)
+
+
+def upper_bracket(recursion: Recursion) -> tuple[Float[ndarray, "K n n"], Bool[ndarray, " K"]]:
+    """P+ with P_t <= P+ in the end, from every start, and where it exists: V <= kappa_c P whatever theta is.
+
+    P+ is the Riccati solution of (sqrt(kappa_c) A, kappa_c S, Q); it exists unless an unobservable mode has
+    kappa_c |lambda|^2 >= 1. Kullback-Leibler balls.
+    """
+    kappa = 1 + scalar_excess(recursion.tolerance, recursion.tau)
+    n, P = len(recursion.A), np.full_like(recursion.S, np.nan)
+    exists = np.zeros(len(P), dtype=bool)
+    for k in range(len(P)):
+        A, S = np.sqrt(kappa[k]) * recursion.A, kappa[k] * recursion.S[[k]]
+        solution = solve_riccati(A, recursion.Q, S, np.eye(n))
+        P[k] = solution.P[0]
+        loop = A @ np.linalg.inv(np.eye(n) + P[k] @ S[0]) if np.isfinite(P[k]).all() else np.eye(n)
+        settled = is_valid(solution.P, np.zeros(1), solution.residual)[0]
+        exists[k] = settled and stacked.spectral_radius(loop[None])[0] < 1
+    return P, exists
 
 
 def settle(recursion: Recursion, P: Float[ndarray, "K n n"]) -> FixedPoints:
@@ -93,7 +120,7 @@ def settle(recursion: Recursion, P: Float[ndarray, "K n n"]) -> FixedPoints:
     orbit = wander(recursion, P)
     rested = newton(recursion, orbit.calmest)
     found = (orbit.least < _NEARLY_AT_REST) & (rested.residual <= ACCEPT)
-    return FixedPoints(rested.P, found, rested.steps + orbit.steps, orbit.diverges)
+    return FixedPoints(rested.P, found, rested.steps + orbit.steps)
 
 
 class Nearby(NamedTuple):
@@ -124,7 +151,7 @@ def search(recursion: Recursion, kalman: Float[ndarray, "K n n"]) -> Nearby:
             if not todo.size:
                 break
             at = theta[todo]
-            solution = solve_riccati(A, Q, S[todo] - at[:, None, None] * np.eye(n))
+            solution = solve_riccati(A, Q, S[todo] - at[:, None, None] * np.eye(n), recursion.start)
             doublings[todo] += solution.doublings
             valid = is_valid(solution.P, at, solution.residual)
             value = np.where(valid, gamma(np.where(valid[:, None, None], solution.P, 0.0), at), np.inf)
@@ -166,7 +193,7 @@ def follow(
     """Follow P = T_c(P) in c from P, a steady state at about `reached`, to the tolerance, in strides of log c.
 
     A stride is doubled where Newton's method converges near its start and quartered where it does not; below
-    the `smallest` stride the path is taken to have ended.
+    the `smallest` stride, and after 400, the path is taken to have ended.
     """
     K = len(P)
     P, c = P.copy(), recursion.tolerance
@@ -177,7 +204,9 @@ def follow(
     P[started] = corrected.P[started]
     stride = np.full(K, 1.0)
     todo = np.flatnonzero(started & (reached < c))
-    while todo.size:
+    for _ in range(_MOST_STRIDES):
+        if not todo.size:
+            break
         with np.errstate(over="ignore"):
             ahead = np.minimum(reached[todo] * np.exp(stride[todo]), c[todo])
         attempt = newton(recursion.part(todo).at(ahead), P[todo], most=12)
@@ -206,26 +235,30 @@ class Orbit(NamedTuple):
 def wander(recursion: Recursion, P: Float[ndarray, "K n n"], *, steps: int = 600) -> Orbit:
     """Run the recursion from P, until all have come to rest or gone. An orbit that circles has its mean near a state.
 
-    `diverges` says that the trace grew a billionfold, or was growing geometrically to the end.
+    `diverges` says that the trace was growing geometrically to the end: by the same factor, or nearly, in the last
+    stretch as in the one before. From a tiny start many bounded orbits grow for long; their growth wanes.
     """
     first = np.trace(P, axis1=-2, axis2=-1)
     centre, calmest, least = np.zeros_like(P), P.copy(), np.full(len(P), np.inf)
-    middle, t = first, 0
+    traces, t = [first], 0
     with np.errstate(all="ignore"):
         for t in range(steps):
             following = step(recursion, P).following
             defect = stacked.norm(following - P) / stacked.norm(P)
             calmer = defect < least
             calmest[calmer], least[calmer] = P[calmer], defect[calmer]
-            P = following
-            if t == steps // 2:
-                middle = np.trace(P, axis1=-2, axis2=-1)
+            # What has grown away stands still, so that the others can be followed.
+            gone = ~(np.trace(following, axis1=-2, axis2=-1) <= _GONE * first)
+            P = np.where(gone[:, None, None], P, following)
+            traces.append(np.where(gone, np.inf, np.trace(P, axis1=-2, axis2=-1)))
             if t >= steps // 2:
                 centre = centre + P
-            if (np.trace(P, axis1=-2, axis2=-1) > _GONE * first).all() or (least < _AT_REST).all():
+            if (gone | (least < _AT_REST)).all():
                 break
-        last = np.trace(P, axis1=-2, axis2=-1)
-        growing = (last > 2 * middle) & (middle > 2 * first)
-        diverges = ~(last <= _GONE * first) | growing
+        milestones = np.stack(traces)[np.linspace(0, t + 1, _STRETCHES + 1).astype(int)]
+        growth = np.diff(np.log(milestones), axis=0)
+        gone = np.isinf(traces[-1])
+        doubles = growth[_STRETCHES // 2 :].sum(axis=0) > np.log(2)
+        diverges = gone | (doubles & (growth[-1] > 0.9 * growth[-3]) & (growth[-3] > 0))
     middle_of_it = P if t < steps // 2 else centre / (t + 1 - steps // 2)
     return Orbit(middle_of_it, calmest, least, diverges, t + 1)

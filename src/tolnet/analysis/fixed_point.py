@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,8 @@ DENSE_UP_TO = 12
 """States up to which the derivative is formed as a matrix on symmetric matrices, n (n + 1) / 2 square."""
 
 _EPS = np.finfo(float).eps
+_NO_VARIANCE = 1e-80
+_SINGULAR = 1e-12  # how far below zero rounding may take the least eigenvalue of a covariance of unit diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +38,21 @@ class Recursion:
     S: Float[ndarray, "K n n"]
     tolerance: Float[ndarray, " K"]
     tau: float = 0.0
+    undriven: bool = False
+    """Whether A has modes outside the unit circle that Q does not drive."""
+
+    @property
+    def start(self) -> Float[ndarray, "n n"] | None:
+        """From which P the stabilising solution is reached at a fixed theta: zero (None) where Q drives all that grows."""
+        return np.eye(len(self.A)) if self.undriven else None
 
     def part(self, index: ndarray) -> Recursion:
         """The members at `index`."""
-        return Recursion(self.A, self.Q, self.S[index], self.tolerance[index], self.tau)
+        return replace(self, S=self.S[index], tolerance=self.tolerance[index])
 
     def at(self, tolerance: Float[ndarray, " K"]) -> Recursion:
         """The same recursions at other tolerances."""
-        return Recursion(self.A, self.Q, self.S, tolerance, self.tau)
+        return replace(self, tolerance=tolerance)
 
 
 class Inflated(NamedTuple):
@@ -70,25 +79,38 @@ def inflate_covariance(P: Float[ndarray, "K n n"], tolerance: Float[ndarray, " K
     return Inflated(eigenvalues, U, theta, excess)
 
 
-def filter_gain(
-    A: Float[ndarray, "n n"], S: Float[ndarray, "K n n"], at: Inflated
-) -> tuple[Float[ndarray, "#K n n"], Float[ndarray, "K n n"]]:
-    """A U and A Z U, so that A Z A' is their product (line 2); one V may serve a stack of S."""
+class Filtered(NamedTuple):
+    """Z = (V^-1 + S)^-1 in the eigenbasis of V (line 2); one V may serve a stack of S."""
+
+    Z: Float[ndarray, "K n n"]
+    """U' Z U."""
+    AU: Float[ndarray, "#K n n"]
+    AZ: Float[ndarray, "K n n"]
+    """A Z U: maps the eigenbasis into the state."""
+
+    def part(self, index: ndarray) -> Filtered:
+        """The members at `index`."""
+        return Filtered(*(value[index] for value in self))
+
+
+def filter_information(A: Float[ndarray, "n n"], S: Float[ndarray, "K n n"], at: Inflated) -> Filtered:
+    """Z, and A U and A Z U, so that A Z A' is the product of the latter (line 2)."""
     AU = A @ at.U
     information = at.U.mT @ S @ at.U
     diagonal = np.einsum("kii->ki", information)
     w = np.sqrt(1.0 / (1.0 / (at.eigenvalues * (1 + at.excess)) + diagonal))
     unit = w[:, :, None] * information * w[:, None, :]
     np.einsum("kii->ki", unit)[...] = 1.0
-    return AU, (AU * w[:, None, :]) @ stacked.solve(unit, np.eye(len(A)) * w[:, None, :])
+    Z = w[:, :, None] * stacked.solve(unit, np.eye(len(A)) * w[:, None, :])
+    return Filtered(Z, AU, AU @ Z)
 
 
 def predict(
     A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], S: Float[ndarray, "K n n"], at: Inflated
 ) -> Float[ndarray, "K n n"]:
     """A (V^-1 + S)^-1 A' + Q (line 3)."""
-    AU, AZ = filter_gain(A, S, at)
-    return stacked.symmetric_part(AZ @ AU.mT) + Q
+    filtered = filter_information(A, S, at)
+    return stacked.symmetric_part(filtered.AZ @ filtered.AU.mT) + Q
 
 
 class Step(NamedTuple):
@@ -96,55 +118,67 @@ class Step(NamedTuple):
 
     following: Float[ndarray, "K n n"]
     at: Inflated
-    AZ: Float[ndarray, "K n n"]
-    """A Z U: maps the eigenbasis into the state."""
+    filtered: Filtered
 
     def part(self, index: ndarray) -> Step:
         """The members at `index`."""
-        return Step(self.following[index], Inflated(*(value[index] for value in self.at)), self.AZ[index])
+        at = Inflated(*(value[index] for value in self.at))
+        return Step(self.following[index], at, self.filtered.part(index))
 
 
 def step(recursion: Recursion, P: Float[ndarray, "K n n"]) -> Step:
     """T_c(P) = A (V^-1 + S)^-1 A' + Q with V from gamma(P, theta) = c (lines 1 to 3)."""
     at = inflate_covariance(P, recursion.tolerance, recursion.tau)
-    AU, AZ = filter_gain(recursion.A, recursion.S, at)
-    return Step(stacked.symmetric_part(AZ @ AU.mT) + recursion.Q, at, AZ)
+    filtered = filter_information(recursion.A, recursion.S, at)
+    return Step(stacked.symmetric_part(filtered.AZ @ filtered.AU.mT) + recursion.Q, at, filtered)
 
 
 class Derivative(NamedTuple):
-    """dT = AZ (q * E + diag(t) dtheta) AZ',  dtheta = -sum a_i E_ii,  E = U' dP U (lines 4 and 5)."""
+    """dT = K (q * E) K' + thrust dtheta,  dtheta = -sum a_i E_ii, in coordinates in which P is the identity (lines 4, 5).
+
+    dP = basis E basis', basis = U r^1/2 with r_i = lambda_i; where lambda_i is less than the rounding of P, r_i is that.
+    So no unit of a state and no direction in which P is small outweighs the others.
+    """
 
     U: Float[ndarray, "K n n"]
-    AZ: Float[ndarray, "K n n"]
+    root: Float[ndarray, "K n"]
+    """r^1/2."""
+    loop: Float[ndarray, "K n n"]
+    """K = A Z P^-1 in these coordinates: the loop at fixed theta (tau = 0)."""
     q: Float[ndarray, "K n n"]
-    t: Float[ndarray, "K n"]
+    """1 for tau = 0, where the derivative is K dP K' plus rank one; near 1 else."""
+    thrust: Float[ndarray, "K n n"]
     a: Float[ndarray, "K n"]
     separable: bool
-    """Whether q_ij = 1 / (lambda_i lambda_j), so that the derivative is K dP K' plus rank one (tau = 0)."""
+    """Whether q is 1."""
 
     def part(self, index: ndarray) -> Derivative:
         """The members at `index`."""
         return Derivative(*(value[index] for value in self[:-1]), separable=self.separable)
 
-    def apply(self, dP: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
-        """The derivative in the direction dP."""
-        E = self.U.mT @ dP @ self.U
-        inner = self.q * E
-        dtheta = -np.einsum("ki,kii->k", self.a, E)
-        np.einsum("kii->ki", inner)[...] += dtheta[:, None] * self.t
-        return self.AZ @ inner @ self.AZ.mT
+    def into(self, dP: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+        """E of dP."""
+        return (self.U.mT @ dP @ self.U) / (self.root[:, :, None] * self.root[:, None, :])
 
-    @property
-    def loop(self) -> Float[ndarray, "K n n"]:
-        """K = A Z P^-1, the closed loop at fixed theta (tau = 0 only)."""
-        return (self.AZ * np.sqrt(np.einsum("kii->ki", self.q))[:, None, :]) @ self.U.mT
+    def out_of(self, E: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+        """dP of E."""
+        basis = self.U * self.root[:, None, :]
+        return basis @ E @ basis.mT
+
+    def dtheta(self, E: Float[ndarray, "K n n"]) -> Float[ndarray, " K"]:
+        """What theta does when P moves by E at a fixed tolerance."""
+        return -np.einsum("ki,kii->k", self.a, E)
+
+    def apply(self, E: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+        """The derivative in the direction E."""
+        return self.loop @ (self.q * E) @ self.loop.mT + self.dtheta(E)[:, None, None] * self.thrust
 
     def matrix(self) -> Float[ndarray, "K d d"]:
-        """The derivative as a matrix on symmetric matrices in the eigenbasis, d = n (n + 1) / 2.
+        """The derivative as a matrix on symmetric matrices, d = n (n + 1) / 2.
 
         Coordinates E_ii and sqrt(2) E_ij (i < j), so that the Euclidean norm is the Frobenius norm.
         """
-        L = self.U.mT @ self.AZ
+        L = self.loop
         n = L.shape[-1]
         i, j = np.triu_indices(n)
         root = np.where(i == j, 1.0, np.sqrt(2.0))
@@ -153,8 +187,7 @@ class Derivative(NamedTuple):
         half = np.where(i == j, 0.5, 1.0)
         full = (left * right + crossed) * (half * root[:, None] / root) * self.q[:, i, j][:, None, :]
         diagonal = np.flatnonzero(i == j)
-        thrust = np.einsum("kai,ki,kbi->kab", L, self.t, L)[:, i, j] * root
-        full[:, :, diagonal] -= thrust[:, :, None] * self.a[:, None, :]
+        full[:, :, diagonal] -= (self.thrust[:, i, j] * root)[:, :, None] * self.a[:, None, :]
         return full
 
 
@@ -167,7 +200,7 @@ def derivative(recursion: Recursion, taken: Step) -> Derivative:
     h = h / np.maximum(h.max(axis=-1, keepdims=True), np.finfo(float).tiny)
     weight = (h * lam).sum(axis=-1, keepdims=True)
     a = np.where(theta > 0, theta * h / np.where(weight > 0, weight, 1.0), 0.0)
-    q = 1.0 / (lam[:, :, None] * lam[:, None, :])
+    q = np.ones_like(at.U)
     t = np.ones_like(lam)
     if tau != 0:
         t = kappa**-tau
@@ -176,7 +209,18 @@ def derivative(recursion: Recursion, taken: Step) -> Derivative:
         near = np.abs(distance) <= 1e-5 * (lam[:, :, None] + lam[:, None, :])
         quotient = (inverse[:, None, :] - inverse[:, :, None]) / np.where(near, 1.0, distance)
         q = np.where(near, (slope[:, :, None] + slope[:, None, :]) / 2, quotient)
-    return Derivative(at.U, taken.AZ, q, t, a, separable=tau == 0)
+        q = q * lam[:, :, None] * lam[:, None, :]
+    r = np.maximum(lam, _EPS * uncancelled(at))
+    root = np.sqrt(r)
+    L = (at.U.mT @ taken.filtered.AZ) / root[:, :, None]
+    loop = L * (root / lam)[:, None, :]
+    return Derivative(at.U, root, loop, q, (L * t[:, None, :]) @ L.mT, a * r, separable=tau == 0)
+
+
+def uncancelled(at: Inflated) -> Float[ndarray, "K n"]:
+    """(|U|' p)_i^2 with p the standard deviations of the states under P: lambda_i if nothing cancelled in U' P U."""
+    variance = np.einsum("kij,kj,kij->ki", at.U, at.eigenvalues, at.U)
+    return np.einsum("kji,kj->ki", np.abs(at.U), np.sqrt(np.maximum(variance, 0.0))) ** 2
 
 
 def _log_ratio(kappa: ndarray, tau: float) -> ndarray:
@@ -185,25 +229,27 @@ def _log_ratio(kappa: ndarray, tau: float) -> ndarray:
 
 
 def newton_direction(slope: Derivative, defect: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
-    """Solve dP - T'(dP) = defect for symmetric dP.
+    """Solve dP - T'(dP) = defect for symmetric dP."""
+    return slope.out_of(resolve(slope, slope.into(defect)))
+
+
+def resolve(slope: Derivative, right: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+    """Solve E - T'(E) = right for symmetric E, in the coordinates of the derivative.
 
     As a matrix for few states. For more, through the Stein equation of the loop K (line 4 with tau = 0):
-    X - K X K' = defect and Y - K Y K' = A Z Z A', then dP = X + dtheta Y with dtheta = -a(X) / (1 + a(Y)).
+    X - K X K' = right and Y - K Y K' = thrust, then E = X + dtheta Y with dtheta = -a(X) / (1 + a(Y)).
     """
-    n = defect.shape[-1]
+    n = right.shape[-1]
     if n <= DENSE_UP_TO or not slope.separable:
         i, j = np.triu_indices(n)
         root = np.where(i == j, 1.0, np.sqrt(2.0))
-        U = slope.U
-        right = (U.mT @ defect @ U)[:, i, j] * root
-        e = stacked.solve(np.eye(len(i)) - slope.matrix(), right[:, :, None])[:, :, 0] / root
-        E = np.empty_like(defect)
+        e = stacked.solve(np.eye(len(i)) - slope.matrix(), (right[:, i, j] * root)[:, :, None])[:, :, 0] / root
+        E = np.empty_like(right)
         E[:, i, j] = E[:, j, i] = e
-        return U @ E @ U.mT
-    thrust = slope.AZ @ slope.AZ.mT
-    X, Y = _stein(slope.loop, defect), _stein(slope.loop, thrust)
-    pull = [np.einsum("ki,kji,kjl,kli->k", slope.a, slope.U, W, slope.U) for W in (X, Y)]
-    return X - (pull[0] / (1 + pull[1]))[:, None, None] * Y
+        return E
+    X, Y = _stein(slope.loop, right), _stein(slope.loop, slope.thrust)
+    pull_X, pull_Y = slope.dtheta(X), slope.dtheta(Y)
+    return X + (pull_X / (1 - pull_Y))[:, None, None] * Y
 
 
 def _stein(K: Float[ndarray, "K n n"], R: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
@@ -251,8 +297,7 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
             taken = taken.part(stays)
             slope = derivative(recursion.part(todo), taken)
             proposed = P[stays] + newton_direction(slope, defect[stays])
-            eigenvalues, _ = stacked.symmetric_eigen(proposed)
-            inside = eigenvalues[:, 0] >= -1e-12 * eigenvalues[:, -1]
+            inside = stacked.smallest_unit_eigenvalue(proposed) >= -_SINGULAR
             P = np.where(inside[:, None, None], proposed, taken.following)
     return Converged(best, residual, steps)
 
@@ -260,10 +305,19 @@ def newton(recursion: Recursion, P: Float[ndarray, "K n n"], *, most: int = 30) 
 def relative_defect(
     recursion: Recursion, defect: Float[ndarray, "K n n"], P: Float[ndarray, "K n n"]
 ) -> Float[ndarray, " K"]:
-    """|T_c(P) - P| / |P|; 0 for the Kalman filter of a plant without noise, whose P = 0 is exact."""
-    size = stacked.norm(P)
-    nothing = (size == 0) & (recursion.tolerance == 0) & (stacked.norm(defect) == 0)
-    return np.where(nothing, 0.0, stacked.norm(defect) / np.where(nothing, 1.0, size))
+    """max |T_c(P) - P|_ij / sqrt(P_ii P_jj), in the units of each state; NaN where P is no matrix of numbers.
+
+    A variance below 1e-80 of the largest is none: a state that is known exactly, carried as 1e-100. 0 for the Kalman
+    filter of a plant without noise, whose P = 0 is exact; inf for a P = 0 at any other tolerance.
+    """
+    variance = np.einsum("kii->ki", P)
+    largest = variance.max(axis=-1, keepdims=True)
+    scale = np.sqrt(np.maximum(variance, _NO_VARIANCE * largest))
+    nothing = (largest == 0)[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.abs(defect) / np.where(nothing, 1.0, scale[:, :, None] * scale[:, None, :])
+    exact = (recursion.tolerance == 0)[:, None, None] & (defect == 0)
+    return np.where(nothing, np.where(exact, 0.0, np.inf), ratio).max(axis=(-1, -2))
 
 
 def attraction(slope: Derivative) -> Float[ndarray, " K"]:
@@ -275,7 +329,7 @@ def attraction(slope: Derivative) -> Float[ndarray, " K"]:
     if n <= DENSE_UP_TO:
         return stacked.spectral_radius(slope.matrix())
     d = n * (n + 1) // 2
-    finite = stacked.finite_members(slope.AZ) & stacked.finite_members(slope.q)
+    finite = stacked.finite_members(slope.loop) & stacked.finite_members(slope.thrust)
     radius = np.full(len(finite), np.nan)
     todo = np.flatnonzero(finite)
     for order in (min(d, 30), min(d, 80)):
@@ -295,7 +349,8 @@ def _arnoldi_radius(slope: Derivative, order: int) -> tuple[Float[ndarray, " K"]
     basis[:, 0] = (start @ start.T).ravel() / np.linalg.norm(start @ start.T)
     H = np.zeros((K, order + 1, order))
     for j in range(order):
-        w = slope.apply(basis[:, j].reshape(K, n, n)).reshape(K, n * n, 1)
+        # Rounding is not symmetric, and K E K' may die out more slowly on what is antisymmetric.
+        w = stacked.symmetric_part(slope.apply(basis[:, j].reshape(K, n, n))).reshape(K, n * n, 1)
         known = basis[:, : j + 1]
         for _ in range(2):  # twice is enough
             h = known @ w

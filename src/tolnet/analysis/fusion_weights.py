@@ -147,7 +147,7 @@ def _alone(Omega: Float[ndarray, "B J n n"], a: Float[ndarray, "B J"]) -> Fusion
     P = FusionWeights(Omega, a, weights, nothing, none, "newton").covariance
     exists = finite_members(P)
     weights = np.where(exists[:, None], weights, a)
-    bound = np.where(exists, lower_bound(Omega, None, P, np.zeros_like(P)), np.nan)
+    bound = np.where(exists, lower_bound(Omega, None, P, None), np.nan)
     return FusionWeights(Omega, a, weights, bound, none, "newton")
 
 
@@ -170,7 +170,7 @@ def _minimise(
         weights[usable], iterations[usable] = without_empty(found.weights, information[usable]), found.iterations
         Z[usable] = within.back(found.multiplier, usable)
     found = FusionWeights(information, reference, weights, np.full(B, np.nan), iterations, "newton")
-    bound = lower_bound(information, reference, found.covariance, Z)
+    bound = lower_bound(information, reference, found.covariance, Z, found.weights)
     return FusionWeights(information, reference, weights, bound, iterations, "newton")
 
 

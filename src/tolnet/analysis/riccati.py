@@ -21,15 +21,25 @@ class RiccatiSolution(NamedTuple):
     doublings: Int[ndarray, " K"]
 
 
-def solve_riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[ndarray, "K n n"]) -> RiccatiSolution:
+def solve_riccati(
+    A: Float[ndarray, "n n"],
+    Q: Float[ndarray, "n n"],
+    G: Float[ndarray, "K n n"],
+    start: Float[ndarray, "n n"] | None = None,
+) -> RiccatiSolution:
     """Solve P = A P (I + G P)^-1 A' + Q for the stabilising P, with symmetric G = S - theta I that may be indefinite.
 
     Structured doubling from A_0 = A', G_0 = G, H_0 = Q:
 
         W = (I + G H)^-1,  A+ = A W A,  G+ = G + A W G A',  H+ = H + A' H W A,   H -> P quadratically.
 
-    Assumes (A, Q) stabilisable and, for theta = 0, (A, S) detectable: without them it converges to a solution that
-    is not the one wanted, so test first. For theta > 0 a breakdown shows as a NaN or large `residual`, and says that
+    H_j is the recursion after 2^j steps from P = 0. Another `start` P_0 > 0 is needed where modes outside the unit
+    circle are not driven by Q, since they are never met from zero; the unknown is then X = P - P_0:
+
+        X = F X (I + W G X)^-1 F' + (A W'P_0 A' + Q - P_0),   W = (I + G P_0)^-1,   F = A W'
+
+    Assumes no undriven mode on the circle and, for theta = 0, (A, S) detectable: without them it converges to a
+    solution that is not the one wanted, so test first. For theta > 0 a breakdown shows as a NaN or large `residual`, and says that
     theta is beyond what the branch allows. Residual: |right-hand side - P| / |P| in the Frobenius norm.
     Source: E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, Int. J. Control 77, 2004.
     """
@@ -41,6 +51,10 @@ def solve_riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[n
     Aj, Gj = np.broadcast_to(A.T, (K, n, n)), G
     Hj = np.broadcast_to(Q, (K, n, n))
     with np.errstate(all="ignore"):
+        if start is not None:
+            W = stacked.solve(eye + G @ start, np.broadcast_to(eye, G.shape))
+            Hj = stacked.symmetric_part(A @ W.mT @ start @ A.T + Q - start)
+            Aj, Gj = W @ A.T, stacked.symmetric_part(W @ G)
         for step in range(1, MAX_DOUBLINGS + 1):
             WAG = stacked.solve(eye + Gj @ Hj, np.concatenate([Aj, Gj], axis=-1))
             WA, WG = WAG[..., :n], WAG[..., n:]
@@ -48,11 +62,12 @@ def solve_riccati(A: Float[ndarray, "n n"], Q: Float[ndarray, "n n"], G: Float[n
             Gj = stacked.symmetric_part(Gj + Aj @ WG @ Aj.mT)
             Hj = Hj + growth
             Aj = Aj @ WA
-            size, change = np.abs(Hj).max(axis=(-1, -2)), np.abs(growth).max(axis=(-1, -2))
+            total = Hj if start is None else Hj + start
+            size, change = np.abs(total).max(axis=(-1, -2)), np.abs(growth).max(axis=(-1, -2))
             settled = change <= 1e-15 * size
             leaves = settled | ~np.isfinite(size) | (step == MAX_DOUBLINGS)
             if leaves.any():
-                P[todo[leaves]], doublings[todo[leaves]] = Hj[leaves], step
+                P[todo[leaves]], doublings[todo[leaves]] = total[leaves], step
                 stays = ~leaves
                 todo, Aj, Gj, Hj = todo[stays], Aj[stays], Gj[stays], Hj[stays]
             if not todo.size:
@@ -75,7 +90,6 @@ def is_valid(
     P: Float[ndarray, "K n n"], theta: Float[ndarray, " K"], residual: Float[ndarray, " K"]
 ) -> Bool[ndarray, " K"]:
     """Whether P is a covariance on the wanted branch: an accurate solution, P >= 0 and theta lambda_max(P) < 1."""
-    eigenvalues, _ = stacked.symmetric_eigen(P)
     with np.errstate(invalid="ignore"):
-        nonnegative = eigenvalues[:, 0] >= -1e-10 * eigenvalues[:, -1]
-        return nonnegative & (theta * eigenvalues[:, -1] < 1) & (residual < 1e-6)
+        nonnegative = stacked.smallest_unit_eigenvalue(P) >= -1e-10
+        return nonnegative & (theta * stacked.eigenvalues(P)[:, -1] < 1) & (residual < 1e-6)

@@ -18,7 +18,7 @@ from numpy import ndarray
 from scipy import sparse
 
 from tolnet.analysis.filters import FilterKind, Hearing, follow_filters, follow_gains, hearing, kinds
-from tolnet.analysis.fixed_point import Inflated, filter_gain
+from tolnet.analysis.fixed_point import Inflated, filter_information
 from tolnet.analysis.least_favourable import least_favourable_model
 from tolnet.analysis.trajectories import Disturbance, disturb
 from tolnet.model import SensorNetwork, ToleranceTable
@@ -101,7 +101,7 @@ class _Schedule(NamedTuple):
 def _schedule(table: ToleranceTable, W: sparse.csr_array, kind: FilterKind, T: int) -> _Schedule:
     network, side = table.network, hearing(table.network, W, kind)
     gains = list(follow_gains(table, kind, side.S, T))
-    AZ = np.stack([filter_gain(network.A, side.S, step.at)[1] @ step.at.U.mT for step in gains])
+    AZ = np.stack([filter_information(network.A, side.S, step.at).AZ @ step.at.U.mT for step in gains])
     whitener = np.stack([_whitener(at) for at in [step.at for step in gains] + [gains[-1].following]])
     return _Schedule(network, side, AZ, whitener)
 

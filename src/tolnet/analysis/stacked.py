@@ -25,7 +25,7 @@ def solve(a: Inexact[ndarray, "K n n"], b: Inexact[ndarray, "K n m"]) -> Inexact
         return np.concatenate([solve(a[:half], b[:half]), solve(a[half:], b[half:])])
 
 
-def inverse(a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+def inverse(a: Inexact[ndarray, "K n n"]) -> Inexact[ndarray, "K n n"]:
     """The inverse of every member of a stack; NaN where it is exactly singular."""
     return _one_by_one(np.linalg.inv, a)
 
@@ -45,7 +45,7 @@ def definite(X: Float[ndarray, "K n n"]) -> Bool[ndarray, " K"]:
     return positive
 
 
-def _one_by_one(function: Callable[[ndarray], ndarray], a: Float[ndarray, "K n n"]) -> Float[ndarray, "K n n"]:
+def _one_by_one(function: Callable[[ndarray], ndarray], a: Inexact[ndarray, "K n n"]) -> Inexact[ndarray, "K n n"]:
     """Halve a stack that fails until the culprit is alone."""
     try:
         return function(a)
@@ -85,6 +85,19 @@ def symmetric_eigen(P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, "K n"], 
     eigenvalues, U = np.linalg.eigh(np.take_along_axis(sorted_rows, order[:, None, :], axis=2))
     U = np.take_along_axis(U, np.argsort(order, axis=-1)[:, :, None], axis=1)
     return np.where(finite[:, None], eigenvalues, np.nan), U
+
+
+def smallest_unit_eigenvalue(P: Float[ndarray, "K n n"]) -> Float[ndarray, " K"]:
+    """Of symmetric members scaled to a unit diagonal: the same in all units. -inf for a negative variance; NaN stays.
+
+    A state with variance zero counts as independent of the others, unless its covariances are not zero.
+    """
+    variance = np.einsum("kii->ki", P)
+    none = variance == 0
+    unit = np.sqrt(np.where(variance > 0, variance, 1.0))
+    scaled = P / (unit[:, :, None] * unit[:, None, :])
+    np.einsum("kii->ki", scaled)[...] += none
+    return np.where((variance < 0).any(axis=-1), -np.inf, eigenvalues(scaled)[:, 0])
 
 
 def spectral_radius(F: Float[ndarray, "*K n n"]) -> Float[ndarray, "*K"]:

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from tolnet.analysis import stacked
-from tolnet.analysis.continuation import ACCEPT, settle, solve_fixed_points
+from tolnet.analysis import extended, stacked
+from tolnet.analysis.accuracy import error_loop, estimated_error
+from tolnet.analysis.continuation import ACCEPT, FixedPoints, find_wanderers, settle, solve_fixed_points
 from tolnet.analysis.detectability import detectability
 from tolnet.analysis.divergence import divergence, gamma
-from tolnet.analysis.fixed_point import Recursion, attraction, derivative, relative_defect, step
+from tolnet.analysis.fixed_point import Recursion, attraction, derivative, inflate_covariance, relative_defect, step
 from tolnet.analysis.riccati import solve_riccati
+from tolnet.analysis.sources import Sources
 from tolnet.model import Ambiguity, Complaint, InputError, SensorNetwork, Status, SteadyState
-from tolnet.model.covariances import SIX_DIGITS, condition
+from tolnet.model.covariances import condition
 
 Progress = Callable[[int, int], None]
 """Called with how many filters are done, and how many there are."""
 
+VOUCHED = 1e-7
+"""Largest estimated relative error of what doubles are trusted with; six digits with one in hand."""
 _BLOCK_BYTES = 2**24  # of the largest temporary array: small enough to stay in cache, large enough to amortise calls
 
 
@@ -44,6 +49,8 @@ def solve_steady_state(network: SensorNetwork, tolerance: float | Ambiguity | No
         np.array([ambiguity.gamma]),
         tau=ambiguity.tau,
         refused=status,
+        undriven=seen.undriven_outside,
+        sources=Sources.of_centre(network),
     )[0]
 
 
@@ -53,19 +60,30 @@ def solve_local_steady_states(
     *,
     tau: float = 0.0,
     refused: ndarray | None = None,
+    refine: Callable[[int], float] | None = None,
     progress: Progress | None = None,
 ) -> SteadyState:
     """The steady states of every node's filter at its own tolerance (gamma scale): a stack of N, eqs. (12), (44).
 
     Nodes that miss a mode which does not decay come back `undetectable`, and all as `unstabilisable` where the noise
-    misses one; `refused` (N,) holds further statuses known beforehand.
+    misses one; `refused` (N,) holds further statuses known beforehand. `refine` gives the tolerance of a node that is
+    solved in extended precision, to its last digit.
     """
     seen = detectability(network)
     status = np.array([_status_before(seen.stabilisable, bool(good)) for good in seen.detectable], dtype="U16")
     if refused is not None:
         status = np.where(status == Status.OK.value, refused, status)
     return solve_steady_states(
-        network.A, network.Q, network.information, tolerances, tau=tau, refused=status, progress=progress
+        network.A,
+        network.Q,
+        network.information,
+        tolerances,
+        tau=tau,
+        refused=status,
+        undriven=seen.undriven_outside,
+        sources=Sources.of_nodes(network),
+        refine=refine,
+        progress=progress,
     )
 
 
@@ -82,8 +100,9 @@ def restore_steady_state(
     """
     central = {"P": P, "V": V, "theta": np.asarray(theta)}
     A, Q, S = network.A, network.Q, network.total_information
-    eye = np.eye(network.n)
-    riccati = A @ np.linalg.solve(eye + V @ S, V) @ A.T + Q - P
+    posterior = condition(V, S)
+    riccati = A @ posterior.covariance @ A.T + Q - P
+    exact = Recursion(A, Q, S[None], np.asarray([float(tolerance)]))
     mismatch = abs(float(gamma(P, theta)) - tolerance) / tolerance if tolerance > 0 else 0.0
     return SteadyState(
         A=A,
@@ -93,10 +112,14 @@ def restore_steady_state(
         tau=0.0,
         spectral_radius=np.asarray(np.nan),
         attraction=np.asarray(np.nan),
-        riccati_residual=np.asarray(np.linalg.norm(riccati) / np.linalg.norm(P)),
+        riccati_residual=relative_defect(exact, riccati[None], P[None])[0],
         tolerance_residual=np.asarray(mismatch),
+        error=np.asarray(np.nan),
         iterations=np.asarray(0),
+        filtered=posterior.covariance,
+        gains={},
         status=np.asarray(Status.OK.value),
+        reason=np.asarray("", dtype=object),
         **central,
     )
 
@@ -126,15 +149,22 @@ def solve_steady_states(
     *,
     tau: float = 0.0,
     refused: ndarray | None = None,
+    undriven: bool = False,
+    sources: Sources | None = None,
+    refine: Callable[[int], float] | None = None,
     progress: Progress | None = None,
 ) -> SteadyState:
     """Solve P = A (V^-1 + S_k)^-1 A' + Q, gamma(P, theta) = c_k for a stack of K filters that share A and Q.
 
-    Structured doubling at fixed theta inside a bracketed search in theta, then Newton's method on P; past the fold
-    a path in c. Blocks of filters run on all cores. `refused` (K,) holds statuses known beforehand, such as
-    `undetectable`: filters whose entry is not `ok` are not solved. A NaN tolerance gives `no-steady-state`.
-    Raises InputError for a negative tolerance.
-    Assumes A, Q, S finite; (A, Q) stabilisable and (A, S_k) detectable where `refused` does not say otherwise.
+    Structured doubling at fixed theta inside a bracketed search in theta, then Newton's method on P, in doubles and in
+    stacks; blocks of filters run on all cores. What doubles cannot vouch for, and what lies past the fold, is solved
+    one by one in extended precision (tau = 0), from `sources`, which knows Q and S before rounding; without it from Q
+    and S. `refused` (K,) holds statuses known beforehand, such as `undetectable`: filters whose entry is not `ok` are
+    not solved. `refine` gives the exact c_k of those that are solved one by one. `undriven` says that A has modes outside the unit circle that Q does not drive. A NaN tolerance gives
+    `no-steady-state`. Raises InputError for a negative tolerance.
+    Accepted is what has an estimated error below 1e-7 in P and V (in the units of each state), theta, the gain and
+    both radii. Assumes A, Q, S finite; no undriven mode on the unit circle and (A, S_k) detectable where `refused` does
+    not say otherwise.
     Source: eqs. (4), (8); docs/mathematics.md, section 4.
     """
     K, n, _ = S.shape
@@ -145,24 +175,35 @@ def solve_steady_states(
     status = np.full(K, Status.OK.value, dtype="U16") if refused is None else refused.astype("U16")
     status[(status == Status.OK.value) & ~np.isfinite(tolerance)] = Status.NO_STEADY_STATE.value
     todo = np.flatnonzero(status == Status.OK.value)
-    values = {
-        "P": np.full((K, n, n), np.nan),
-        "V": np.full((K, n, n), np.nan),
-        "iterations": np.zeros(K, dtype=np.int64),
-    } | {
-        name: np.full(K, np.nan)
-        for name in ("theta", "spectral_radius", "attraction", "riccati_residual", "tolerance_residual")
-    }
+    values: dict[str, ndarray] = {name: np.full((K, n, n), np.nan) for name in ("P", "V", "filtered")}
+    values |= {name: np.full(K, np.nan) for name in _NUMBERS}
+    values |= {"iterations": np.zeros(K, dtype=np.int64), "reason": np.full(K, "", dtype=object)}
+    recursion = Recursion(A, Q, S, tolerance, tau, undriven)
+    doubt: list[ndarray] = []
+    gains: dict[int, ndarray] = {}
     blocks = list(_blocks(todo, n))
     done = 0
-    for block, part in zip(blocks, _map(Recursion(A, Q, S, tolerance, tau), blocks), strict=True):
+    for block, part in zip(blocks, _map(recursion, blocks), strict=True):
+        doubt.append(block[part.pop("doubt")])
         status[block] = part.pop("status")
         for name, value in part.items():
             values[name][block] = value
-        done += len(block)
+        done += len(block) - len(doubt[-1])
         if progress is not None:
             progress(done, len(todo))
-    return SteadyState(A=A, Q=Q, S=S, tolerance=tolerance, tau=tau, status=status, **values)
+    if any(map(len, doubt)):
+        left = np.concatenate(doubt)
+        if refine is not None:
+            tolerance = tolerance.copy()
+            tolerance[left] = [refine(k) for k in left.tolist()]
+            recursion = recursion.at(tolerance)
+        one_by_one = _OneByOne(recursion, sources or Sources.of_matrices(A, Q, S), values, status, gains)
+        before = len(todo) - len(left)
+        one_by_one.solve(left, (lambda turn: progress(before + turn, len(todo))) if progress else (lambda turn: None))
+    return SteadyState(A=A, Q=Q, S=S, tolerance=tolerance, tau=tau, status=status, gains=gains, **values)
+
+
+_NUMBERS = ("theta", "spectral_radius", "attraction", "riccati_residual", "tolerance_residual", "error")
 
 
 def _blocks(index: ndarray, n: int) -> Iterator[ndarray]:
@@ -183,44 +224,133 @@ def _map(recursion: Recursion, blocks: list[ndarray]) -> Iterator[dict[str, ndar
 
 
 def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
-    """Everything that a SteadyState holds, for one block; residuals recomputed from the P and V that are returned."""
-    A, c, tau = recursion.A, recursion.tolerance, recursion.tau
+    """Everything that a SteadyState holds, for one block; residuals recomputed from the P and V that are returned.
+
+    `doubt` marks those that doubles cannot vouch for; their numbers are the best attempt.
+    """
+    c, tau = recursion.tolerance, recursion.tau
     with np.errstate(all="ignore"):
         points = solve_fixed_points(recursion)
         found, P, iterations = points.found, points.P, points.iterations
         attracts = _attraction_at(recursion, P, found)
         restless = np.flatnonzero(found & (attracts >= 1))
         if restless.size:
-            kalman = solve_riccati(A, recursion.Q, recursion.S[restless])
-            rest = settle(recursion.part(restless), kalman.P)
+            rest = _settled(recursion.part(restless))
             P[restless[rest.found]] = rest.P[rest.found]
             iterations[restless] += rest.iterations
             attracts = _attraction_at(recursion, P, found)
         # What was not found may be no matrix of numbers at all, and LAPACK would give up on the whole stack for it.
-        P = np.where(found[:, None, None], P, np.eye(len(A)))
+        finite = stacked.finite_members(P)
+        P = np.where(finite[:, None, None], P, np.eye(len(recursion.A)))
         taken = step(recursion, P)
         at, V = taken.at, taken.at.V
-        v = at.eigenvalues * (1 + at.excess)
-        M = (taken.AZ / v[:, None, :]) @ at.U.mT
+        M = error_loop(taken)
         defect = relative_defect(recursion, taken.following - P, P)
-        found = found & (defect <= ACCEPT) & np.isfinite(attracts)  # the solver's word is not taken for it
-        found = found & (condition(V, recursion.S).error <= SIX_DIGITS)
         divergence_now = np.where(c < 1, gamma(P, at.theta, tau), _divergence_of(P, V, tau))
         mismatch = np.where(c > 0, np.abs(divergence_now - c) / np.where(c > 0, c, 1.0), 0.0)
+        # The solver's word is not taken for it.
+        sure = found & (defect <= ACCEPT) & (mismatch <= ACCEPT) & np.isfinite(attracts)
+        error = estimated_error(recursion, P, taken, derivative(recursion, taken), attracts)
+        sure &= error <= VOUCHED
+        if recursion.undriven:
+            sure &= stacked.spectral_radius(M) < 1  # else it is the solution that the modes not driven leave alone
+        ZU = at.U @ taken.filtered.Z
         values = {
             "P": P,
             "V": V,
+            "filtered": stacked.symmetric_part(ZU @ at.U.mT),
             "theta": at.theta,
             "spectral_radius": stacked.spectral_radius(M),
             "attraction": attracts,
             "riccati_residual": defect,
             "tolerance_residual": mismatch,
+            "error": error,
         }
-        for value in values.values():
-            value[~found] = np.nan
         status = np.where(attracts < 1, Status.OK.value, Status.OSCILLATES.value).astype("U16")
-        status[~found] = np.where(points.diverges[~found], Status.DIVERGES.value, Status.NO_STEADY_STATE.value)
-    return values | {"iterations": iterations, "status": status}
+        status[~sure] = Status.NO_STEADY_STATE.value
+    return values | {"iterations": iterations, "status": status, "doubt": ~sure}
+
+
+def _settled(recursion: Recursion) -> FixedPoints:
+    """Where the recursion comes to rest from the Kalman filter, if it does."""
+    return settle(recursion, solve_riccati(recursion.A, recursion.Q, recursion.S, recursion.start).P)
+
+
+@dataclass(frozen=True, eq=False)
+class _OneByOne:
+    """Filters that are solved in extended precision, and where their answers are written."""
+
+    recursion: Recursion
+    sources: Sources
+    values: dict[str, ndarray]
+    status: ndarray
+    gains: dict[int, ndarray]
+
+    def solve(self, doubt: ndarray, done: Callable[[int], None]) -> None:
+        """Solve the filters of `doubt`; those that are on no path from the Kalman filter are looked for at last."""
+        failed: list[int] = []
+        for turn, k in enumerate(doubt.tolist()):
+            try:
+                if self.recursion.tau != 0:
+                    raise extended.NoAnswer("rounding leaves less than six digits of it")
+                # Not from the doubles' P: a millionth away there may be another steady state, on no path from c = 0.
+                self._write(k, self.sources.solve(k, float(self.recursion.tolerance[k]), self.recursion.undriven))
+                if self.status[k] == Status.OSCILLATES:
+                    self._settle(k)
+            except extended.NoAnswer as end:
+                failed.append(k)
+                self._write_nothing(k, str(end))
+            done(turn + 1)
+        if failed and self.recursion.tau == 0:
+            self._catch(np.array(failed))
+
+    def _settle(self, k: int) -> None:
+        """Where the recursion comes to rest elsewhere, that steady state in place of the one that repels."""
+        one = self.recursion.part(np.array([k]))
+        with np.errstate(all="ignore"):
+            rest = _settled(one)
+            theta = float(inflate_covariance(rest.P, one.tolerance).theta[0])
+        if rest.found[0]:
+            self._try(k, (rest.P[0], theta))
+
+    def _catch(self, failed: ndarray) -> None:
+        """Look for steady states where the filters themselves go; `diverges` where they go away."""
+        part = self.recursion.part(failed)
+        with np.errstate(all="ignore"):
+            wanderers = find_wanderers(part)
+            thetas = [inflate_covariance(guess, part.tolerance).theta for guess in wanderers.guesses]
+        for i, k in enumerate(failed.tolist()):
+            self.values["iterations"][k] += wanderers.steps
+            if wanderers.diverges[i]:
+                self.status[k], self.values["reason"][k] = Status.DIVERGES.value, ""
+                continue
+            for guess, theta in zip(wanderers.guesses, thetas, strict=True):
+                if np.isfinite(theta[i]) and self._try(k, (guess[i], float(theta[i]))):
+                    break
+
+    def _try(self, k: int, near: tuple[Float[ndarray, "n n"], float]) -> bool:
+        """Newton's method in extended precision from this guess alone; written where it settles."""
+        c, undriven = float(self.recursion.tolerance[k]), self.recursion.undriven
+        try:
+            found = self.sources.solve(k, c, undriven, near, only_near=True)
+        except extended.NoAnswer:
+            return False
+        self._write(k, found)
+        return True
+
+    def _write(self, k: int, state: extended.Extended) -> None:
+        for name in ("P", "V", "filtered", *_NUMBERS):
+            self.values[name][k] = getattr(state, name)
+        self.values["iterations"][k] += state.iterations
+        self.values["reason"][k] = ""
+        self.status[k] = Status.OK.value if state.attraction < 1 else Status.OSCILLATES.value
+        if state.gain is not None:
+            self.gains[k] = state.gain
+
+    def _write_nothing(self, k: int, reason: str) -> None:
+        for name in ("P", "V", "filtered", *_NUMBERS):
+            self.values[name][k] = np.nan
+        self.values["reason"][k], self.status[k] = reason, Status.NO_STEADY_STATE.value
 
 
 def _attraction_at(recursion: Recursion, P: Float[ndarray, "K n n"], found: ndarray) -> Float[ndarray, " K"]:

@@ -75,7 +75,7 @@ def _by_program(
     a = None if reference is None else start
     Z = within.back(_positive_part(Z), np.arange(count))
     P = FusionWeights(Omega, a, weights, np.zeros(count), iterations, method).covariance
-    bound = lower_bound(Omega, a, P, Z)
+    bound = lower_bound(Omega, a, P, Z, weights)
     return FusionWeights(
         information, reference, weights.reshape(*stack, J), bound.reshape(stack), iterations.reshape(stack), method
     )

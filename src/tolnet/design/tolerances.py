@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tolnet.analysis import local_tolerances, solve_local_steady_states, solve_steady_state
+from tolnet.analysis.local_tolerance import LocalTolerances
 from tolnet.analysis.steady_state import Progress, resolve_ambiguity
 from tolnet.model import Ambiguity, SensorNetwork, ToleranceTable, UnsupportedError
 
@@ -33,5 +34,10 @@ def choose_tolerances(
     central = solve_steady_state(network, ambiguity)
     c = np.full(network.N, ambiguity.gamma) if uniform else local_tolerances(network, central)
     refused = None if uniform or central.exists else np.full(network.N, str(central.status))
-    local = solve_local_steady_states(network, c, tau=ambiguity.tau, refused=refused, progress=progress)
+    refine = (
+        None if uniform or ambiguity.gamma == 0 or not central.exists else LocalTolerances(network, central).exact
+    )
+    local = solve_local_steady_states(
+        network, c, tau=ambiguity.tau, refused=refused, refine=refine, progress=progress
+    )
     return ToleranceTable(network, ambiguity.convention, central, local)

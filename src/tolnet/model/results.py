@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from tolnet.model.ambiguity import Convention, gamma_per
-from tolnet.model.covariances import condition
 from tolnet.model.network import SensorNetwork
 from tolnet.model.status import Status
 
@@ -53,13 +52,22 @@ class SteadyState(_ReadOnly):
     attraction: Float[ndarray, "*K"]
     """Spectral radius of the derivative of V_t -> V_{t+1} at the fixed point; at least 1 means `oscillates`."""
     riccati_residual: Float[ndarray, "*K"]
-    """|P - A (V^-1 + S)^-1 A' - Q| / |P|, recomputed from P and V in the Frobenius norm."""
+    """The largest |P - A (V^-1 + S)^-1 A' - Q|_ij / sqrt(P_ii P_jj): in the units of each state."""
     tolerance_residual: Float[ndarray, "*K"]
     """|gamma(P, theta) - c| / c (0 at c = 0), gamma recomputed from V and P as a divergence."""
+    error: Float[ndarray, "*K"]
+    """Estimated relative error of all of these: of P and V in the units of each state, of the gain in those of its noise."""
     iterations: Int[ndarray, "*K"]
     """Doubling solves plus Newton steps."""
+    filtered: Float[ndarray, "*K n n"]
+    """Z = (V^-1 + S)^-1, the covariance once the measurements are in; a singular V is allowed."""
+    gains: Mapping[int, ndarray]
+    """G_k = A Z C_loc' R_loc^-1, columns by neighbour, of filters k that were solved in extended precision: there the
+    product of Z and C' R^-1 may cancel. A filter without a stack is number 0."""
     status: ndarray
     """One of `Status` as text, (*stack,)."""
+    reason: ndarray
+    """What ended the search where there is no answer, as text, (*stack,); empty elsewhere and where `status` says it."""
 
     @cached_property
     def settles(self) -> Bool[ndarray, "*K"]:
@@ -81,11 +89,6 @@ class SteadyState(_ReadOnly):
         """Trace of V: the prediction error variance under the least favourable model of one step."""
         return np.asarray(np.trace(self.V, axis1=-2, axis2=-1))
 
-    @cached_property
-    def filtered(self) -> Float[ndarray, "*K n n"]:
-        """(V^-1 + S)^-1; a singular V is allowed."""
-        return condition(self.V, self.S).covariance
-
     def gain(self, C: Float[ndarray, "p n"], R: Float[ndarray, "p p"], k: int | None = None) -> Float[ndarray, "n p"]:
         """G = A (V^-1 + S)^-1 C' R^-1 of filter k for sensors C, R stacked, eqs. (7), (44); k = None for no stack."""
         Z = self.filtered if k is None else self.filtered[k]
@@ -94,9 +97,11 @@ class SteadyState(_ReadOnly):
     def __getitem__(self, k: int | slice | ndarray) -> SteadyState:
         """Part of a stack, as a SteadyState of its own."""
         shared = {"A", "Q", "tau"}
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "gains"}
         part: dict[str, Any] = {name: v if name in shared else np.asarray(v[k]) for name, v in values.items()}
-        return SteadyState(**part)
+        chosen = np.atleast_1d(np.arange(len(self))[k]).tolist() if self.gains else []
+        gains = {new: self.gains[old] for new, old in enumerate(chosen) if old in self.gains}
+        return SteadyState(**part, gains=gains)
 
     def __len__(self) -> int:
         return len(self.theta)
@@ -148,6 +153,8 @@ class ToleranceTable(_ReadOnly):
     def gain(self, k: int) -> tuple[Int[ndarray, " d"], Float[ndarray, "n p"]]:
         """Neighbours of node k and G_k = A (V_k^-1 + S_k)^-1 C_loc' R_loc^-1, columns by neighbour in that order."""
         neighbours = self.network.neighbours(k)
+        if k % self.network.N in self.local.gains:
+            return neighbours, self.local.gains[k % self.network.N]
         AZ = self.network.A @ self.local.filtered[k]
         columns = [AZ @ np.linalg.solve(R_l, C_l).T for C_l, R_l in map(self.network.sensor, neighbours.tolist())]
         return neighbours, np.concatenate(columns, axis=1)

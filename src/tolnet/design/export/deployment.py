@@ -56,13 +56,16 @@ class Deployment:
 
 def central_gain_columns(network: SensorNetwork, central: SteadyState) -> Float[ndarray, "M n"]:
     """The columns of the centre's gain G = A (V^-1 + S_tot)^-1 C' R^-1 as rows, sensor by sensor, eq. (7)."""
-    return _noise_weighted(network) @ (network.A @ central.filtered).T
+    return central.gains[0].T if central.gains else _noise_weighted(network) @ (network.A @ central.filtered).T
 
 
 def _gain_columns(
     table: ToleranceTable, offsets: Int[ndarray, " N1"], neighbours: Int[ndarray, " L"], columns: Int[ndarray, " L1"]
 ) -> Float[ndarray, "M n"]:
-    """The columns of every G_k as rows: (A Z_k) y for each row y of R_l^-1 C_l, Z_k = (V_k^-1 + S_k)^-1."""
+    """The columns of every G_k as rows: (A Z_k) y for each row y of R_l^-1 C_l, Z_k = (V_k^-1 + S_k)^-1.
+
+    Those of filters that were solved in extended precision come from there.
+    """
     network = table.network
     Y = _noise_weighted(network)
     first = columns[offsets]  # of each node
@@ -78,6 +81,8 @@ def _gain_columns(
         node = np.repeat(np.arange(end - k), np.diff(first[k : end + 1]))
         gains[first[k] : first[end]] = np.einsum("mij,mj->mi", AZ[node], Y[rows])
         k = end
+    for k, G in table.local.gains.items():
+        gains[first[k] : first[k + 1]] = G.T
     return gains
 
 

@@ -7,11 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from tolnet.analysis import Detectability, detectability
+from tolnet.analysis import Detectability, Mode, detectability
 from tolnet.model import Status, SteadyState, ToleranceTable
 
 NAMED_AT_MOST = 10
 _MODES_AT_MOST = 3
+_STATES_AT_MOST = 4
 
 
 class Reasons:
@@ -43,14 +44,18 @@ class Reasons:
 
     def _reason(self, filter: SteadyState, k: int | None) -> str:
         seen, status = self._seen, str(filter.status)
-        if k is not None and not np.isfinite(filter.tolerance) and seen.detectable[k] and seen.stabilisable:
+        if k is not None and not np.isfinite(filter.tolerance) and not seen.offending(k) and seen.stabilisable:
             return "the central filter has no answer, so there is no c_k"
         match status:
             case Status.UNDETECTABLE:
                 heard = "no sensor" if k is None else f"no sensor that it hears (nodes {self._heard(k)})"
-                return f"{heard} sees all of {_modes(seen.offending(k))}"
+                modes = seen.offending(k)
+                decay = "do not decay" if len(modes) > 1 else "does not decay"
+                return f"{heard} sees all of {self._named(modes)}, which {decay}"
             case Status.UNSTABILISABLE:
-                return f"the process noise does not drive all of {_modes(seen.offending_undriven())}"
+                modes = seen.offending_undriven()
+                circle = "lie on the unit circle" if len(modes) > 1 else "lies on the unit circle"
+                return f"the process noise does not drive all of {self._named(modes)}, which {circle}"
             case Status.OSCILLATES:
                 return (
                     "a steady state exists, but the filter never settles on it (attraction"
@@ -67,10 +72,15 @@ class Reasons:
         heard = self._table.network.neighbours(k).tolist()
         return ", ".join(map(str, heard[:NAMED_AT_MOST])) + (", ..." if len(heard) > NAMED_AT_MOST else "")
 
+    def _named(self, modes: Sequence[Mode]) -> str:
+        """Modes of A as people write eigenvalues, each with the labels of the states that carry it."""
+        shown = ", ".join(str(mode) + self._carriers(mode) for mode in modes[:_MODES_AT_MOST])
+        more = ", ..." if len(modes) > _MODES_AT_MOST else ""
+        return f"the mode{'s' if len(modes) > 1 else ''} {shown}{more} of A"
 
-def _modes(modes: Sequence[object]) -> str:
-    """The modes of A that do not decay, as people write eigenvalues."""
-    shown = ", ".join(map(str, modes[:_MODES_AT_MOST])) + (", ..." if len(modes) > _MODES_AT_MOST else "")
-    return (
-        f"the mode{'s' if len(modes) > 1 else ''} {shown} of A, which {'do' if len(modes) > 1 else 'does'} not decay"
-    )
+    def _carriers(self, mode: Mode) -> str:
+        labels = self._table.network.states
+        if not labels:
+            return ""
+        more = ", ..." if len(mode.states) > _STATES_AT_MOST else ""
+        return f" ({', '.join(labels[j] for j in mode.states[:_STATES_AT_MOST])}{more})"
