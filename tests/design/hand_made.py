@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from tolnet.model import Convention, SensorNetwork, Status, SteadyState, ToleranceTable, gamma_per
 from tolnet.model.covariances import condition
+from tolnet.model import Convention, SensorNetwork, Status, SteadyState, ToleranceTable, gamma_per
 
 
 def hand_made(

@@ -17,17 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from tolnet.analysis import stacked
-from tolnet.analysis.fixed_point import (
-    DENSE_UP_TO,
-    Derivative,
-    Filtered,
-    Inflated,
-    Recursion,
-    Step,
-    relative_defect,
-    resolve,
-    uncancelled,
-)
+from tolnet.analysis.fixed_point import DENSE_UP_TO, Derivative, Filtered, Inflated, Recursion, Step, relative_defect, resolve, uncancelled
 
 _EPS = np.finfo(float).eps
 _SMALL = 1e-3  # an attraction below which its relative error is looked at apart

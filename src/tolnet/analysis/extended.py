@@ -602,10 +602,7 @@ def _attraction(slope: Slope, P: Matrix, theta: Any) -> float:
     factor = theta / weight if theta > 0 else _number(0)
     pull = [factor * (1 if k == l else 2) * slope.pull[k, l] for k, l in upper]
     rows = [
-        [
-            (x - slope.thrust[i, j] * a) * units[i, j] / units[k, l]
-            for x, a, (k, l) in zip(row, pull, upper, strict=True)
-        ]
+        [(x - slope.thrust[i, j] * a) * units[i, j] / units[k, l] for x, a, (k, l) in zip(row, pull, upper, strict=True)]
         for (i, j), row in zip(upper, slope.operator(), strict=True)
     ]
     whole = _middle(arb_mat(rows))

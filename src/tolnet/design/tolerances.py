@@ -34,9 +34,7 @@ def choose_tolerances(
     central = solve_steady_state(network, ambiguity)
     c = np.full(network.N, ambiguity.gamma) if uniform else local_tolerances(network, central)
     refused = None if uniform or central.exists else np.full(network.N, str(central.status))
-    refine = (
-        None if uniform or ambiguity.gamma == 0 or not central.exists else LocalTolerances(network, central).exact
-    )
+    refine = None if uniform or ambiguity.gamma == 0 or not central.exists else LocalTolerances(network, central).exact
     local = solve_local_steady_states(
         network, c, tau=ambiguity.tau, refused=refused, refine=refine, progress=progress
     )
