@@ -37,7 +37,7 @@ check: $(STAMP) ## style, types, import directions
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
 
-study: $(STAMP) ## all at full size (TOLNET_STUDY=full): notebooks, tests, 10,000 altered certificates, mutants of the checker
+study: $(STAMP) ## all at full size (TOLNET_STUDY=full): notebooks, tests, 10,000 altered and 460 forged certificates, mutants of the checker
 	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
 	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 --dist worksteal tests
 	@$(BIN)/python scripts/mutate_checker.py

@@ -256,6 +256,7 @@ def battery() -> list[tuple[str, Callable[[], None]]]:
     from tests.certificates import (
         test_alterations,
         test_check,
+        test_columns,
         test_hostile,
         test_observability,
         test_soundness,
@@ -263,7 +264,11 @@ def battery() -> list[tuple[str, Callable[[], None]]]:
     )
 
     calls: list[tuple[str, Callable[[], None]]] = []
-    for module in (test_check, test_soundness, test_thresholds, test_hostile, test_alterations, test_observability):
+    modules = (
+        *(test_check, test_soundness, test_columns, test_thresholds, test_hostile, test_alterations),
+        test_observability,
+    )
+    for module in modules:
         for name, function in inspect.getmembers(module, inspect.isfunction):
             if not name.startswith("test_") or name in NEED_A_PROCESS:
                 continue

@@ -146,6 +146,20 @@ def designed(document: Document) -> Iterator[tuple[str, Document]]:
     for value in (True, False, None, 0):
         yield f"directed {value!r}", put(document, ("data", "directed"), value)
     yield "no centre", put(document, ("data", "centre"), None)
+    yield from _unmixed(document)
+    yield "told twice", {**document, "claims": [*document["claims"], *copy.deepcopy(document["claims"])]}
+
+
+def _unmixed(document: Document) -> Iterator[tuple[str, Document]]:
+    """Weights that no longer sum to one, in `data` and in scenarios: every condition becomes easier to meet."""
+    rows: list[Path] = [("data", "weights", k) for k in range(len(document["data"]["weights"]))]
+    for i, scenario in enumerate(document["claims"][0].get("scenarios", [])):
+        where: Path = ("claims", 0, "scenarios", i, "weights")
+        rows += [(*where, k) for k in range(len(scenario.get("weights", [])))]
+    for path in rows:
+        for factor in (0.0, 0.5, 1 - 1e-6, 1 - 1e-13):
+            smaller = words_at(lambda x, factor=factor: [factor * y for y in x])
+            yield f"columns times {factor} in {path}", put(document, path, smaller(get(document, path)))
 
 
 def _narrowed(document: Document, claim: Document) -> Iterator[tuple[str, Document]]:

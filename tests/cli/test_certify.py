@@ -171,10 +171,12 @@ def test_a_model_that_was_not_compared_is_not_said_to_be(tolnet: Tolnet, small: 
     """Performance at another tolerance: nothing in the certificate ties its model to the problem."""
     path = tmp_path / "c.json"
     assert tolnet("certify", small, "-c", "0.0001", "--claims", "performance", "-o", path).code == 0
-    ran = tolnet("check", path, "--problem", small, "--json")
-    assert ran.code == 3
-    found = {row["claim"]: row["result"] for row in ran.document["findings"]}
-    assert found["least favourable model"] == "not checked here"
+    for own, label in (([], "not checked here"), (["-c", "0.0001"], "valid")):
+        ran = tolnet("check", path, "--problem", small, *own, "--json")
+        assert ran.code == 3
+        found = {row["claim"]: row["result"] for row in ran.document["findings"]}
+        assert found["least favourable model"] == "not checked here"
+        assert found["label"] == label
     assert "claims" not in found
 
 
@@ -359,3 +361,21 @@ def test_the_json_document_is_the_certificate(tolnet: Tolnet, small: Path, tmp_p
     assert ran.document == json.loads(path.read_text())
     assert ran.document["schema"] == "tolnet.certificate/1"
     assert ran.document["problem"]["sha256"] == model.load(small).digest
+
+
+def test_a_table_for_a_problem_without_a_tolerance_is_checked_at_the_one_that_is_meant(
+    tolnet: Tolnet, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    silent, text = Path("silent.toml"), small.read_text()
+    start = text.index("[ambiguity]")
+    end = text.find("\n[", start + 1)
+    silent.write_text(text[:start] + (text[end:] if end > 0 else ""))
+    path, table = Path("c.json"), Path("t.npz")
+    assert tolnet("table", silent, "-c", "0.01", "-o", table).code == 0
+    ran = tolnet("certify", silent, "--table", table, "--claims", "steady-state,tolerance", "-o", path)
+    assert ran.code == 0
+    command = suggested(ran)[0]
+    assert tolnet(*command).code == 0, command
+    ran = tolnet("check", path, "--problem", silent, "--table", table)
+    assert (ran.code, "the problem has no tolerance" in ran.err) == (1, True)

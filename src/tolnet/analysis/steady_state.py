@@ -114,7 +114,7 @@ def restore_steady_state(
         tau=0.0,
         spectral_radius=np.asarray(np.nan),
         attraction=np.asarray(np.nan),
-        riccati_residual=relative_defect(exact, riccati[None], P[None])[0],
+        riccati_residual=np.asarray(relative_defect(exact, riccati[None], P[None])[0]),
         tolerance_residual=np.asarray(mismatch),
         error=np.asarray(np.nan),
         iterations=np.asarray(0),

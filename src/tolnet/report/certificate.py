@@ -125,7 +125,7 @@ def _what_if(members: Sequence[Verdict]) -> str:
             )
         case "steady-state":
             error = max(float.fromhex(verdict.keys["gain_error"]) for verdict in members)
-            return f" The deployed gains are within {error:.1e} (relative) of the exact ones."
+            return f" No deployed gain is further than {error:.1e} from the exact one, relative to its largest entry."
         case "tolerance":
             intervals = [list(map(float.fromhex, verdict.keys["interval"].split(" "))) for verdict in members]
             widest = max(((high - low) / 2 / high for low, high in intervals if high > 0), default=0.0)
