@@ -4,6 +4,8 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 export MPLBACKEND := Agg
+# Where it is set, each of the processes that tests start would compile all of tolnet again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-fast check bench study lock format clean help
 .DEFAULT_GOAL := help

@@ -16,7 +16,7 @@ from typing import Any
 import jaxtyping
 from tests.study import sized
 
-FIRST = 20
+FIRST = 5
 EVERY = sized(23, 1)
 
 _enforce = jaxtyping.jaxtyped

@@ -1,6 +1,7 @@
 """What every test relies on: checked shapes, reproducible Hypothesis, no display, one thread per process."""
 
 import os
+from pathlib import Path
 
 # Before NumPy is imported: the matrices here are tiny, and two workers with thread pools only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -11,6 +12,14 @@ from tests import checked_shapes, study
 
 # Before tolnet is imported: from here on the shape annotations of the package are enforced at run time.
 checked_shapes.install("tolnet")
+
+ROOT = Path(__file__).parent
+LONG = {
+    *("cli/test_certify.py", "cli/test_channels.py", "cli/test_diffusion.py", "cli/test_documented.py"),
+    *("design/weights/test_decay.py", "design/test_window.py", "analysis/test_against_oracles.py"),
+    *("certificates/test_alterations.py", "certificates/test_soundness.py", "certificates/test_hostile.py"),
+}
+"""Modules that --fast leaves out: searches and proofs of whole networks. What they stand on has its own tests."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -36,7 +45,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         function = (item.parent, getattr(item, "originalname", item.name))
         wanted = study.FULL or not item.get_closest_marker("study")
         if fast:
-            wanted = wanted and function not in seen and not item.get_closest_marker("slow")
+            long = item.get_closest_marker("slow") or item.path.relative_to(ROOT).as_posix() in LONG
+            wanted = wanted and function not in seen and not long
             seen.add(function)
         (kept if wanted else left).append(item)
     items[:] = kept

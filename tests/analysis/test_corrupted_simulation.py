@@ -25,6 +25,7 @@ def published() -> dict[str, CorruptedSimulation]:
     return simulate_corrupted(model.example("field"), runs=2000, steps=100, seed=0, shared_path=True, interval=4)
 
 
+@pytest.mark.slow
 def test_no_sample_covariance_exceeds_its_bound_beyond_chance(published: dict[str, CorruptedSimulation]):
     """Given one path of noise on matrices, at all 4 nodes and 101 instants, with a doubt of 1e-3 in all."""
     for name in BOUNDED:

@@ -113,6 +113,7 @@ def test_histories_reach_the_plateau_of_the_steady_state():
     assert histories["RKFDNU"].theta[190] == pytest.approx(table.local.theta, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_oscillating_filter_still_has_a_history():
     network = random_network(np.random.default_rng(31), 4, 8, radius=1.02, relays=0.9)
     table, W = choose_tolerances(network, 1.0), diffusion_matrix(network)

@@ -73,6 +73,7 @@ def test_runs_that_leave_the_range_of_doubles_are_counted_apart(monkeypatch):
     assert found.mse[-1] == pytest.approx(found.bound[-1], rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_errors_of_an_unstable_plant_keep_their_digits():
     """rho(A) = 1.2: after 400 steps the state is 1e31 and more, the error as large as ever."""
     network = SensorNetwork(

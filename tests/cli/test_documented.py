@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from tests.cli.conftest import Tolnet
 
 ROOT = Path(__file__).parents[2]
@@ -18,22 +19,27 @@ def test_the_readme_opens_with_what_to_type():
     assert [line.split("#")[0].strip() for line in README.splitlines()[:2]] == ["make demo", "make test"]
 
 
-def test_the_commands_of_the_readme_work_in_their_order(process: Tolnet, tmp_path: Path):
+def test_the_commands_of_the_readme_work_in_their_order(
+    tolnet: Tolnet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    tolnet (.*)$", README, flags=re.MULTILINE)
     assert len(commands) >= 12
     for command in commands:
-        ran = process(*shlex.split(command, comments=True), cwd=tmp_path)
+        ran = tolnet(*shlex.split(command, comments=True))
         assert (ran.code, ran.err) == (0, ""), command
 
 
-def test_the_python_of_the_readme_works(process: Tolnet, tmp_path: Path):
+def test_the_python_of_the_readme_works(tolnet: Tolnet, tmp_path: Path):
     (program,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    process("example", "projectile", "-o", "projectile.toml", cwd=tmp_path)
+    tolnet("example", "projectile", "-o", tmp_path / "projectile.toml")
     subprocess.run([sys.executable, "-W", "error", "-c", program], cwd=tmp_path, check=True)
     assert (tmp_path / "table.h").exists()
 
 
-def test_the_demo_writes_what_it_says_and_suggests_what_works(process: Tolnet, tmp_path: Path):
+def test_the_demo_writes_what_it_says_and_suggests_what_works(
+    tolnet: Tolnet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     command = [sys.executable, "-W", "error", str(ROOT / "scripts" / "demo.py"), "demo"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     told = ran.stdout.split("\nwritten:\n")[1]
@@ -46,6 +52,7 @@ def test_the_demo_writes_what_it_says_and_suggests_what_works(process: Tolnet, t
     assert all((tmp_path / path).stat().st_size > 500 for path in paths)
     lines = [shlex.split(line) for line in suggested.splitlines()]
     assert len(lines) >= 5
+    monkeypatch.chdir(tmp_path)
     for program, *arguments in lines:
         assert Path(program).name == "tolnet"
-        assert process(*arguments, cwd=tmp_path).code == 0
+        assert tolnet(*arguments).code == 0

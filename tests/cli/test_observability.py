@@ -111,8 +111,9 @@ def test_every_file(two: Path, tolnet: Tolnet, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["field", "projectile"])
-def test_built_in_problems(name: str, process: Tolnet, tmp_path: Path):
-    ran = process("observability", name, "--json", cwd=tmp_path)
+def test_built_in_problems(name: str, tolnet: Tolnet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    ran = tolnet("observability", name, "--json")
     assert ran.code == 0
     assert ran.document["problem"]["name"] == name
     assert ran.document["forms"]["classical"]["holds"]

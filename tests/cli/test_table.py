@@ -153,18 +153,18 @@ def test_tau_takes_uniform_tolerances_only(tolnet: Tolnet, ring: Path):
     assert "--convention is 'nats', which only tau = 0 has" in in_nats.err
 
 
-def test_limits_are_shown_and_written_in_the_convention(process: Tolnet, tmp_path: Path):
+def test_limits_are_shown_and_written_in_the_convention(tolnet: Tolnet, tmp_path: Path):
     path = tmp_path / "fold.toml"
     network = model.SensorNetwork(
         A=[[0.9]], B=[[1.0]], C=[[[0.1]]], R=[[[1.0]]], edges=[], name="fold", ambiguity=Ambiguity(0.02)
     )
     model.save(network, path)
-    ran = process("table", path, "--limits", "-o", tmp_path / "t.csv", "-o", tmp_path / "t.json")
+    ran = tolnet("table", path, "--limits", "-o", tmp_path / "t.csv", "-o", tmp_path / "t.json")
     assert "settles below" in ran.out
     assert "limits_published" in (tmp_path / "t.csv").read_text()
     gamma = json.loads((tmp_path / "t.json").read_text())
     assert gamma["central"]["limits"]["fold"] == pytest.approx(0.0269, abs=5e-5)
-    nats = process("table", path, "--limits", "--json", "--convention", "nats").document
+    nats = tolnet("table", path, "--limits", "--json", "--convention", "nats").document
     for a, b in zip([gamma["central"], *gamma["nodes"]], [nats["central"], *nats["nodes"]], strict=True):
         assert list(a["limits"]) == ["fold", "attracts", "exists", "published"]
         for key, value in a["limits"].items():
