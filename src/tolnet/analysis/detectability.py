@@ -29,6 +29,7 @@ from tolnet.model import SensorNetwork
 _RING = np.exp(2j * np.pi * np.arange(12) / 12)
 _CLEAR = 1e4  # how much farther than an eigenvalue is uncertain the directions lie that the screen leaves out
 _BLOCK = 2**22  # numbers in one stack of Gramians
+_LEAST = 1e-100  # a radius for a plant of zeros, to which rounding does nothing
 
 
 class _Missed(NamedTuple):
@@ -283,9 +284,7 @@ def _uncertainty(A: ndarray, value: complex, delta: float) -> float:
 
     Doubled until the smallest singular value, which moves no faster than z, is large enough on a ring of points.
     """
-    if delta == 0:  # A = 0, whose eigenvalues are exact
-        return 0.0
-    r, eye = 4 * delta, np.eye(len(A))
+    r, eye = max(4 * delta, _LEAST), np.eye(len(A))
     while r < 1:
         ring = A - (value + r * _RING)[:, None, None] * eye
         if np.linalg.svd(ring, compute_uv=False)[:, -1].min() > 2 * delta:

@@ -9,7 +9,8 @@
    and lambda are exact for matrices within t E and t F, a witness that is checked and not a matter of conditions.
 
 Blocks are those of the strong components, so that zeros stay zeros and a coupling however small is one; inside a
-component, where a turned basis leaves rounding, size is that of the whole block. None of it depends on units.
+component, where a turned basis leaves rounding, size is that of the whole block, and t is the rounding of a matrix as
+large as the larger of the two components. None of it depends on units.
 Source: docs/mathematics.md, section 3.3.
 """
 
@@ -124,7 +125,7 @@ def _exact_mode(exactly: ExactSubspace, root: Eigenvalue) -> Mode:
     d = state_units(A_N, np.empty((0, len(A_N))))
     value = root.value if root.value.imag else root.value.real
     _, _, Vh = np.linalg.svd(A_N * (d / d[:, None]) - value * np.eye(len(A_N)))
-    return Mode(root.value, _unit(exactly.X @ (d * Vh[-1].conj())), states)
+    return Mode(root.value, _unit(np.where(carried, exactly.X @ (d * Vh[-1].conj()), 0.0)), states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +162,10 @@ class _Near:
         rows = block_norms(self.A, self.label)
         blocks = np.zeros((rows.shape[1], rows.shape[1]))
         np.add.at(blocks, self.label, rows**2)
-        t = rounding(len(self.A))
+        t = np.array([rounding(int(m)) for m in np.bincount(self.label)])[self.label]
         E = np.sqrt(blocks)[np.ix_(self.label, self.label)]
-        return np.concatenate([t * E, (t + self.error) * block_norms(self.C, self.label)[:, self.label]])
+        F = block_norms(self.C, self.label)[:, self.label]
+        return np.concatenate([np.maximum.outer(t, t) * E, (t + self.error) * F])
 
     def witnesses(self, region: Region) -> Iterator[tuple[complex, ndarray]]:
         """Eigenvalues in the region and directions y that a plant within rounding hides."""

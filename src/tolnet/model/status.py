@@ -19,7 +19,7 @@ class Status(StrEnum):
     UNDETECTABLE = "undetectable"
     """A mode of A on or outside the unit circle is invisible to the sensors that the filter hears."""
     UNSTABILISABLE = "unstabilisable"
-    """A mode of A on or outside the unit circle is not driven by the process noise."""
+    """A mode of A on the unit circle is not driven by the process noise."""
     FOLD = "fold"
     """The centre's tolerance is at or beyond its fold: the least favourable model has no steady state (section 7)."""
     UNSTABLE = "unstable"
