@@ -232,7 +232,7 @@ class Evidence:
         return prove_performance(self.exact, Q, self.dual, centre)
 
     def _covariance(self, dual: ndarray) -> ndarray:
-        """Q = F Q F' + G G', in the units in which the dual matrices are near I: there F contracts, whatever they are."""
+        """Q = F Q F' + G G', by way of units in which the dual matrices are near I, so that F contracts."""
         from tolnet.analysis.lyapunov_dense import solve_smith
 
         F, noise = ExactDynamics(self.exact).rounded()
