@@ -50,6 +50,8 @@ def approximate_theta(P: Float[ndarray, "n n"], c: float) -> float:
     if not np.isfinite(P).all():
         return np.nan
     eigenvalues = np.linalg.eigvalsh(P)
+    if not eigenvalues[-1] > 0:
+        return 0.0 if c == 0 else np.nan
     mu = float(approximate_excess(eigenvalues, c)[-1])
     return 0.0 if c == 0 else mu / (1 + mu) / float(eigenvalues[-1])
 

@@ -101,14 +101,22 @@ class SecondMoments:
         return float(np.abs(found).max())
 
     def resolvent(self, w: Float[ndarray, " L"], s: float, *, adjoint: bool = False) -> Float[ndarray, "N n n"]:
-        """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius."""
+        """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius.
+
+        NaN where floating point finds none, as at the radius 0.
+        """
         from scipy.sparse.linalg import LinearOperator, gmres
 
         weighing, one = self.weighing(w), np.broadcast_to(np.eye(self.shape[1]), self.shape)
         apply = self.adjoint if adjoint else self.apply
+        if not s > 0:
+            return np.full(self.shape, np.nan)
         if self.size <= _DENSE_UP_TO:
             T = self._dense(weighing)
-            X = np.linalg.solve(np.eye(self.size) - (T.T if adjoint else T) / s, one.ravel())
+            try:
+                X = np.linalg.solve(np.eye(self.size) - (T.T if adjoint else T) / s, one.ravel())
+            except np.linalg.LinAlgError:
+                return np.full(self.shape, np.nan)
         else:
             kind: Any = LinearOperator
             operator = kind(
