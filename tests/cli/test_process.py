@@ -154,20 +154,21 @@ def test_a_bar_is_drawn_for_long_work_on_a_terminal(monkeypatch: pytest.MonkeyPa
     os.close(reader)
 
 
-def test_lines_are_said_of_long_work_elsewhere(ring: Path):
+def test_lines_are_said_of_long_work_elsewhere(tmp_path: Path):
     """By the command, what is going on, how far it is, and the seconds; standard output stays clean."""
-    program = "import sys; from tolnet.cli import console, main; console.EVERY = 0.01; main(sys.argv[1:])"
-    arguments = ["certify", str(ring), "--claims", "convergence", "--json"]
-    ran = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, check=True, text=True)
-    assert ran.stdout.startswith("{")
-    json.loads(ran.stdout)
-    lines = ran.stderr.splitlines()
-    assert any(re.fullmatch(r"certify: convergence \d+ of \d+ filters, \d+ s", line) for line in lines), lines
-    assert all(re.fullmatch(r"certify: [^\x1b]+, \d+ s", line) for line in lines)
-    quiet = subprocess.run(
-        [sys.executable, "-c", program, *arguments[:-1], "--quiet"], capture_output=True, check=True
+    file = tmp_path / "pair.toml"
+    model.save(model.example("random", nodes=2, seed=1), file)
+    program = "import sys; from tolnet.cli import console, main; console.EVERY = 0.02; main(sys.argv[1:])"
+    arguments = ["certify", str(file), "--claims", "convergence"]
+    ran, quiet = (
+        subprocess.run([sys.executable, "-c", program, *arguments, how], capture_output=True, check=False, text=True)
+        for how in ("--json", "--quiet")
     )
-    assert (quiet.stdout, quiet.stderr) == (b"", b"")
+    assert json.loads(ran.stdout)["schema"] == "tolnet.certificate/1"
+    lines = ran.stderr.splitlines()
+    assert any(re.fullmatch(r"certify: convergence \d+ of 3 filters, \d+ s", line) for line in lines), lines
+    assert all(re.fullmatch(r"certify: [^\x1b]+, \d+ s", line) for line in lines)
+    assert (quiet.stdout, quiet.stderr) == ("", "")
 
 
 def test_lines_come_ten_seconds_apart_whatever_is_going_on(

@@ -139,8 +139,11 @@ class SecondMoments:
         grown = np.inf
         for _ in range(2000):
             following = self.apply(weighing, X)
-            grown = float(np.linalg.norm(following) / np.linalg.norm(X))
-            X = following / np.linalg.norm(following)
+            size = float(np.linalg.norm(following))
+            grown = size / float(np.linalg.norm(X))
+            if not size > 0:
+                break
+            X = following / size
         return grown
 
 
