@@ -36,7 +36,7 @@ bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 
 study: $(STAMP) ## the notebooks at full size; 10,000 altered certificates; mutants of the checker
 	@TOLNET_STUDY=full $(BIN)/python scripts/build_notebooks.py
-	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py
+	@TOLNET_STUDY=full $(BIN)/python -m pytest -q -n 2 tests/certificates/test_alterations.py tests/cli/test_extremes.py
 	@$(BIN)/python scripts/mutate_checker.py
 
 format: $(STAMP) ## put the code into the house style

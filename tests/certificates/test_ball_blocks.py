@@ -75,7 +75,7 @@ def steady_state_of_one(filter_: ExactFilter) -> tuple[ndarray, float]:
         low, high = mpf(1), 2 + 2 * c + 2 * mp.sqrt(c)
         for _ in range(180):
             middle = (low + high) / 2
-            low, high = (middle, high) if middle - 1 - mp.log(middle) < c else (low, middle)
+            low, high = (middle, high) if middle - 1 - mp.ln(middle) < c else (low, middle)
         kappa = low
         linear = 1 - kappa * mpf(a) ** 2 - kappa * s * mpf(q)
         P = (-linear + mp.sqrt(linear**2 + 4 * kappa * s * mpf(q))) / (2 * kappa * s)
@@ -94,6 +94,7 @@ def test_a_block_holds_the_orbit_step_by_step(c: float):
         for t in range(2, 200):
             assert not isinstance(P, balls.NotProved)
             P = step(equations, P, c)
+            assert not isinstance(P, balls.NotProved)
             for k, end in enumerate(ends, start=1):
                 assert not isinstance(end, balls.NotProved)
                 if t >= k * 2**6:

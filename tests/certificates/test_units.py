@@ -81,4 +81,4 @@ def test_every_claim_is_proved_in_any_units(seed: int):
         ["centre", *range(network.N)], [0.0] * (network.N + 1), [central.P, *local.P], [0.0] * (network.N + 1), centre
     )
     for verdict in decide(states, subject.deployed, ("steady-state", "attraction", "tolerance", "convergence")):
-        assert isinstance(verdict, Proved), (verdict.claim, verdict.node, verdict.reason)
+        assert isinstance(verdict, Proved), verdict

@@ -220,7 +220,8 @@ def _find_way(at: Enclosure, region: Region, start: Float[ndarray, "n n"]) -> tu
                 if u @ region.Y @ u <= near**2:
                     return steps, None
                 if ends is not None and blocks is not None and arrived is None and contains(*ends, X):
-                    arrived = steps, Bracket(*(_symmetric(region.L @ M @ region.L.T) for M in ends), blocks)
+                    lower, upper = (_symmetric(region.L @ M @ region.L.T) for M in ends)
+                    arrived = steps, Bracket(lower, upper, blocks)
                 if arrived is not None and steps - arrived[0] >= _WORTH:
                     return arrived
     except np.linalg.LinAlgError:

@@ -112,13 +112,13 @@ class Lookahead:
         """T^m(X) for this theta at m = 2^k, with k from which on it hardly moves."""
         one = np.eye(len(X))
         F, G, H = self.A.T, self.S - theta * self.metric, self.Q
-        for k in range(MOST_DOUBLINGS + 1):
-            after = H + F.T @ X @ np.linalg.solve(one + G @ X, F)
-            if np.abs(F).max() ** 2 <= _SETTLED:
-                return (after + after.T) / 2, k
+        k = 0
+        while np.abs(F).max() ** 2 > _SETTLED and k < MOST_DOUBLINGS:
+            k += 1
             W = np.linalg.inv(one + G @ H)
             F, G, H = F @ W @ F, G + F @ W @ G @ F.T, H + F.T @ H @ W @ F
-        return (after + after.T) / 2, MOST_DOUBLINGS
+        after = H + F.T @ X @ np.linalg.solve(one + G @ X, F)
+        return (after + after.T) / 2, k
 
 
 def contains(L: Float[ndarray, "n n"], U: Float[ndarray, "n n"], X: Float[ndarray, "n n"]) -> bool:

@@ -98,7 +98,8 @@ class _Clock:
     """When a command began, by its name, and when it last said how far it is."""
 
     def __init__(self) -> None:
-        from typer.main import get_current_context
+        # Typer brings a Click of its own, under a private name that changes; this one has been there in all versions.
+        from typer.main import get_current_context  # pyright: ignore[reportPrivateImportUsage]
 
         context = get_current_context(silent=True)
         self.name = "tolnet" if context is None or context.info_name is None else context.info_name
