@@ -62,14 +62,18 @@ def followed_only(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bounds_hold_in_exact_arithmetic(seed: int, directed: bool, factors: bool):
     network, _, Y = dual_matrices(deployment_of(random_network(seed, directed=directed, factors=factors)))
     steps, dynamics = propagation._Steps(network, Y), ExactDynamics(network)
-    X = steps.sources.X
-    assert size_in(Y, (outer(X) - dynamics.noise).rounded()) <= steps.sources.doubt
+    X, there = steps.sources.X, 1 / steps.unit[:, None]
+    Y = Y * there * there.T  # the coordinates of the steps: powers of two, so that all stays exact
+    noise = (outer(X * there) - dynamics.noise).rounded()
+    noise *= np.outer(*2 * [np.tile(steps.unit, len(Y))])
+    assert size_in(Y, noise) <= steps.sources.doubt
+    assert steps.squares(X) == pytest.approx(np.linalg.norm(X * there, axis=(1, 2)) ** 2, rel=1e-12)
     for _ in range(4):
         x = propagation._norms(X)
         assert (np.linalg.norm(X, axis=(1, 2)) <= x).all()
         assert size_in(Y, outer(X).rounded()) <= steps.squared(x)
         after, r = steps.step(X, x)
-        missed = (dynamics.step(Exact.of(X)) - Exact.of(after)).rounded()
+        missed = (dynamics.step(Exact.of(X * there)) - Exact.of(after * there)).rounded() / there
         assert (np.linalg.norm(missed, axis=(1, 2)) <= r).all()
         assert r.max() < 1e-11 * x.max()
         difference = (outer(after) - outer(after + 1e-3 * X)).rounded()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
+import re
 import resource
 import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -21,6 +24,7 @@ from tolnet.cli.console import Console
 HEAVY = ["casadi", "cvxpy", "matplotlib", "networkx", "numba", "pandas"]
 LISTS_HEAVY = f"""
 import sys
+import threading
 from tolnet.cli import main
 code = main(sys.argv[1:])
 print(code, *[name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
@@ -148,6 +152,39 @@ def test_a_bar_is_drawn_for_long_work_on_a_terminal(monkeypatch: pytest.MonkeyPa
                 drawn += os.read(reader, 65536)
         assert b"counting" in drawn
     os.close(reader)
+
+
+def test_lines_are_said_of_long_work_elsewhere(tmp_path: Path):
+    """By the command, what is going on, how far it is, and the seconds; standard output stays clean."""
+    file = tmp_path / "pair.toml"
+    model.save(model.example("random", nodes=2, seed=1), file)
+    program = "import sys; from tolnet.cli import console, main; console.EVERY = 0.02; main(sys.argv[1:])"
+    arguments = ["certify", str(file), "--claims", "convergence"]
+    ran, quiet = (
+        subprocess.run([sys.executable, "-c", program, *arguments, how], capture_output=True, check=False, text=True)
+        for how in ("--json", "--quiet")
+    )
+    assert json.loads(ran.stdout)["schema"] == "tolnet.certificate/1"
+    lines = ran.stderr.splitlines()
+    assert any(re.fullmatch(r"certify: convergence \d+ of 3 filters, \d+ s", line) for line in lines), lines
+    assert all(re.fullmatch(r"certify: [^\x1b]+, \d+ s", line) for line in lines)
+    assert (quiet.stdout, quiet.stderr) == ("", "")
+
+
+def test_lines_come_ten_seconds_apart_whatever_is_going_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    """The clock is the command's: work in many short parts is told of too."""
+    waits = threading.Event()
+    monkeypatch.setattr("tolnet.cli.console.EVERY", 0.05)
+    console = Console(json=False, quiet=False)
+    for part in range(10_000):
+        with console.progress("parts", "pieces") as progress:
+            progress(part, 10_000)
+            waits.wait(0.001)
+        if "pieces" in capsys.readouterr().err:
+            return
+    pytest.fail("nothing was said")
 
 
 def test_no_bar_is_drawn_where_nobody_looks(ring: Path):

@@ -144,7 +144,7 @@ class GainCurvature:
         heard = np.zeros((len(self.inner), len(self.channels)))
         heard[self.node, self.channel] = 1.0
         f = self.channels
-        S = (heard @ (f[:, :, None] * f[:, None, :]).reshape(len(f), -1)).reshape(self.inner.shape)
+        S = (heard @ (f[:, :, None] * f[:, None, :]).reshape(len(f), f.shape[1] ** 2)).reshape(self.inner.shape)
         return self.inner @ np.linalg.inv(np.eye(f.shape[1]) + S @ self.inner)
 
     @cached_property

@@ -69,6 +69,21 @@ def solve_drkf(
     refused = _refused(network, limit)
     if refused is not None:
         return _no_answer(network, channel, T, *refused)
+    try:
+        return _settle(network, channel, limit, sign, progress)
+    except np.linalg.LinAlgError:
+        return _no_answer(network, channel, T, Status.NOT_CONVERGED, _SINGULAR)
+
+
+def _settle(
+    network: CorruptedNetwork,
+    channel: Channel,
+    limit: SecondMomentLimit,
+    sign: float,
+    progress: Progress | None,
+) -> DrkfSteadyState:
+    """From P = 0 until nothing changes. Raises LinAlgError where rounding leaves a covariance singular."""
+    T = len(limit.Pi)
     phases = [_phase(network, t, limit.at(t), limit.at(t + 1), sign) for t in range(T)]
     P = np.zeros((network.N, network.n, network.n))
     change, periods = np.inf, 0
@@ -118,7 +133,10 @@ def follow_drkf(
     K = [np.zeros((int(network.rows[-1]), network.n))]
     for k in range(horizon):
         now = next(moments)
-        _, _, fused, gains = _step(network, _phase(network, k, before, now, sign), P[-1])
+        try:
+            _, _, fused, gains = _step(network, _phase(network, k, before, now, sign), P[-1])
+        except np.linalg.LinAlgError:  # rounding left a covariance singular: no number from here on
+            fused, gains = np.full_like(P[-1], np.nan), np.full_like(K[-1], np.nan)
         P.append(fused)
         K.append(gains)
         Pi.append(_with_infinity(now))
@@ -126,6 +144,9 @@ def follow_drkf(
         if progress is not None:
             progress(k + 1, horizon)
     return DrkfHistory(network, channel, np.stack(P), np.stack(K), np.stack(Pi))
+
+
+_SINGULAR = "rounding leaves a fused covariance singular: some sensors are too precise beside the noise of the plant"
 
 
 def _with_infinity(moment: Moment) -> Float[ndarray, "n n"]:

@@ -50,8 +50,9 @@ def error_bound(
         steady_state = solve_drkf(network, channel="worst")
     N, N_bar = max(network.N, 2), seen.window - 1
     sup = _suprema(network, noise.supremum, horizon)
-    p_min = 1 / (1 / sup.q_lower + sup.information)
-    eta = p_min / (p_min + sup.channel)
+    # Rounding may leave a least eigenvalue of Q at or below zero, and then nothing is said.
+    p_min = 1 / (1 / sup.q_lower + sup.information) if sup.q_lower > 0 else 0.0
+    eta = p_min / (p_min + sup.channel) if p_min > 0 else 0.0
     beta = p_min * noise.a_lower / (p_min * noise.a_lower + sup.q_hat)
     a_min = _least_weight(network, N_bar)
     with np.errstate(divide="ignore"):
@@ -62,6 +63,7 @@ def error_bound(
             - (N + N_bar - 2) * np.log10(beta)
         )
     reasons = [seen.reason] if not seen.holds else []
+    reasons += ["rounding leaves no least eigenvalue of Q above zero"] if not p_min > 0 else []
     reasons += [noise.reason] if not math.isfinite(noise.supremum) else []
     return ErrorBound(
         network=network,

@@ -66,6 +66,9 @@ def _steady(network: SensorNetwork, central: SteadyState) -> LeastFavourableMode
     inverse = _inverse(P)
     L = _smoother_gain(network, central.filtered, P, inverse)
     Delta = solve_smith(L, _growth(central.theta, V, P)).X
+    if not np.isfinite(Delta).all():  # so near the fold that the loop and the smoother's gain disagree about it
+        reason = f"rounding left no covariance of e at the tolerance {c:g}"
+        return _none(network, c, Status.NOT_CONVERGED, reason)
     R = P + Delta
     model = LeastFavourableModel(
         network=network,

@@ -184,14 +184,15 @@ def _dense(dynamics: ErrorDynamics, method: str) -> _Answer:
     error = np.inf
     while np.isfinite(X).all():
         correction = dense.solve_smith(F, defect).X
-        before, error = error, _SAFETY * float(np.abs(_traces(dynamics, correction) / _traces(dynamics, X)).max())
+        size = np.maximum(_traces(dynamics, X), np.finfo(float).tiny)
+        before, error = error, _SAFETY * float(np.abs(_traces(dynamics, correction) / size).max())
         if method != "smith" or not error < 0.25 * before:
             break
         X = X + correction
         defect = dense.residual(F, D, X)
         if error <= _WANTED:
             break
-    residual = float(np.linalg.norm(defect) / np.linalg.norm(X))
+    residual = dense.relative_size(defect, X)
     shape = (dynamics.filters + 1, dynamics.n)
     blocks = np.einsum("kikj->kij", X.reshape(*shape, *shape))
     return _Answer(blocks, residual, error, doublings, 0, X)

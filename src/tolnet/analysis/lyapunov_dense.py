@@ -73,6 +73,12 @@ def residual(F: Float[ndarray, "d d"], D: Float[ndarray, "d d"], X: Float[ndarra
     return F @ X @ F.T + D - X
 
 
+def relative_size(part: ndarray, whole: ndarray) -> float:
+    """|part| / |whole|, Frobenius norms; 0 where there is no part: a plant without noise has the covariance zero."""
+    size = float(np.linalg.norm(part))
+    return size / max(float(np.linalg.norm(whole)), np.finfo(float).tiny) if size else 0.0
+
+
 def amplification(F: Float[ndarray, "d d"]) -> float:
     """|sum_t F^t F'^t| in the spectral norm: |X - X*| is at most that many times |residual|.
 

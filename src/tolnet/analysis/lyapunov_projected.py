@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from tolnet.analysis.lyapunov_dense import amplification, solve_smith
+from tolnet.analysis.lyapunov_dense import amplification, relative_size, solve_smith
 from tolnet.model import ErrorDynamics
 
 _FIRST, _MOST = 16, 2000
@@ -114,7 +114,7 @@ class _Probe:
         """|residual| / |Q| from Q [v, F' v]: E |Z v|^2 = |Z|^2 for a standard normal v."""
         Qv, Qback = image[:, :, :_PROBES], image[:, :, _PROBES:]
         defect = self.dynamics.step(Qback) + self.dynamics.noise_product(self.v) - Qv
-        return float(np.linalg.norm(defect) / np.linalg.norm(Qv))
+        return relative_size(defect, Qv)
 
 
 class _Columns:

@@ -28,6 +28,7 @@ from scipy import sparse
 
 from tolnet.analysis.curvature import Columns, Curvature, GainCurvature, columns_of
 from tolnet.analysis.error_dynamics import error_dynamics
+from tolnet.analysis.lyapunov_dense import relative_size
 from tolnet.model import ErrorDynamics, LeastFavourableModel, SensorNetwork, SteadyState
 from tolnet.model.worst_case import standard_deviations
 
@@ -92,7 +93,7 @@ class Errors(NamedTuple):
             n = unmixed.loops.shape[1]
             D = _mixed(self.mixing, _mixed(self.mixing, unmixed.D, n).T, n)
             defect = powers.doubled[0] @ Q @ powers.doubled[0].T + D - Q
-            worst = max(worst, float(np.linalg.norm(defect) / np.linalg.norm(Q)))
+            worst = max(worst, relative_size(defect, Q))
         return worst
 
     @property

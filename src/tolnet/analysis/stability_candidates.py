@@ -350,7 +350,10 @@ def _solved(
 
 def _largest_ratio(X: Float[ndarray, "N n n"], image: Float[ndarray, "N n n"]) -> float:
     """Largest eigenvalue of X^-1 image; inf where X is not positive definite."""
-    scale = np.sqrt(np.maximum(np.diagonal(X, axis1=1, axis2=2), 1e-300))
+    diagonal = np.diagonal(X, axis1=1, axis2=2)
+    if not (np.isfinite(image).all() and (diagonal > 1e-300).all()):
+        return np.inf
+    scale = np.sqrt(diagonal)
     outer = scale[:, :, None] * scale[:, None, :]
     try:
         half = np.linalg.inv(np.linalg.cholesky(X / outer))

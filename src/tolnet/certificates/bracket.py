@@ -21,6 +21,7 @@ from numpy import ndarray
 
 from tolnet.certificates import balls
 from tolnet.certificates.balls import BallMatrix, NotProved
+from tolnet.certificates.blocks import between
 from tolnet.certificates.convergence import Region, find_region
 from tolnet.certificates.exact import Exact, is_semidefinite
 from tolnet.certificates.exact_filter import Covariance, Equations, ExactFilter
@@ -111,7 +112,7 @@ def verify_convergence_for_all(exact: ExactFilter, claim: dict[str, Any]) -> str
             return "the bracket was not enclosed: a matrix that must be inverted may be singular"
         if isinstance(ends, NotProved):
             return ends.reason
-        if not region.holds(found, _between(*(region.seen(found, end) for end in ends))):
+        if not region.holds(found, between(*(region.seen(found, end) for end in ends))):
             return f"the bracket does not lie in the region after {steps} steps"
     return None
 
@@ -188,14 +189,6 @@ def _scalar_bracket(
 def _push(equations: Equations, P: BallMatrix, kappa: Any) -> BallMatrix:
     """A ((kappa P)^-1 + S)^-1 A' + Q."""
     return equations.following(equations.at(P * kappa, balls.ball(0)))
-
-
-def _between(L: BallMatrix, U: BallMatrix) -> BallMatrix:
-    """Every symmetric P with L <= P <= U: |P - (L + U) / 2|_ij <= sqrt(W_ii W_jj) with W = (U - L) / 2."""
-    n, half = L.nrows(), balls.ball(0.5)
-    W = [(abs(U[i, i] - L[i, i]).upper() * half).sqrt() for i in range(n)]
-    reach = balls.matrix_of(n, n, [balls.ball(0, (W[i] * W[j]).upper()) for i in range(n) for j in range(n)])
-    return (L + U) * half + reach
 
 
 def is_nonnegative(covariance: Covariance) -> bool:

@@ -20,8 +20,10 @@ from numpy import ndarray
 from tolnet.certificates import balls
 from tolnet.certificates.attraction import contracts, lyapunov, spectral_radius
 from tolnet.certificates.balls import BallMatrix, NotProved
+from tolnet.certificates.blocks import Bracket, between, end_of
 from tolnet.certificates.exact_filter import ExactFilter, coordinates_of, frobenius_weights, matrix_from
 from tolnet.certificates.fixed_point import Box, Enclosure, enclose
+from tolnet.certificates.lookahead import Lookahead, contains
 from tolnet.certificates.numerals import matrix_text, number_text, symmetric_matrix, symmetric_text, vector
 from tolnet.certificates.recursion import Around, first_covariance, step
 
@@ -29,7 +31,10 @@ MOST_STEPS = 5000
 MOST_BITS = 2**12
 MOST_WORK = 2**21
 """Steps times bits of an orbit."""
-_TOO_LONG = NotProved("followed as far as is tried, the orbit had not reached the region around the steady state")
+_WELL_INSIDE = 0.9
+"""Of the radius of the region: where an orbit in floating point counts as arrived."""
+_WORTH = 50
+"""Steps of an orbit that cost about as much as a bracket."""
 _USUAL_HALVINGS, _MOST_HALVINGS = 6, 40
 _WIDENINGS = 4
 _SHARE = 0.8
@@ -167,53 +172,66 @@ def find_region(at: Enclosure) -> Region | NotProved:
 
 
 def prove_convergence(exact: ExactFilter, box: Box, start: Float[ndarray, "n n"]) -> dict[str, Any] | NotProved:
-    """Keys of a proved `convergence` claim from V_0 = `start`: `c`, `start`, `proof`; `box` is one of `find_box`."""
+    """Keys of a proved `convergence` claim from V_0 = `start`: `c`, `start`, `proof`; `box` is one of `find_box`.
+
+    The way is looked for in floating point: so many steps into the region, or fewer into a bracket that closes.
+    """
     found = enclose(exact, box)
     if isinstance(found, NotProved):
         return found
     with balls.working_precision(found.bits):
         region = find_region(found)
-    if isinstance(region, NotProved):
-        return region
-    reason, bits = "", balls.BITS
-    while bits <= MOST_BITS:
-        with balls.working_precision(bits):
-            arrived = _arrival(exact, found, region, start, MOST_WORK // bits)
-        if not isinstance(arrived, NotProved):
-            break
-        if arrived is _TOO_LONG:
-            return arrived
-        reason, bits = arrived.reason, 2 * bits
-    else:
-        return NotProved(reason)
-    keys = {
-        "c": number_text(exact.c),
-        "start": symmetric_text(start),
-        "proof": {"box": box.text(), **region.text(), "steps": arrived, "bits": bits},
-    }
-    complaint = verify_convergence(exact, keys)
-    return keys if complaint is None else NotProved(complaint)
+        if isinstance(region, NotProved):
+            return region
+        way = _find_way(found, region, start)
+    if isinstance(way, NotProved):
+        return way
+    steps, bracket = way
+    reason, bits = f"{steps} steps of the orbit are more than are tried", balls.BITS
+    while bits <= MOST_BITS and steps * bits <= MOST_WORK:
+        reason = _complaint_of_way(exact, found, region, start, steps, bracket, bits)
+        if reason is None:
+            held = {} if bracket is None else bracket.text()
+            proof = {"box": box.text(), **region.text(), "steps": steps, "bits": bits, **held}
+            return {"c": number_text(exact.c), "start": symmetric_text(start), "proof": proof}
+        bits *= 2
+    return NotProved(f"{reason}, with as many bits as are tried for so many steps")
 
 
-def _arrival(
-    exact: ExactFilter, at: Enclosure, region: Region, start: Float[ndarray, "n n"], most: int
-) -> int | NotProved:
-    """The first step at which the orbit from V_0 was shown to be in the region."""
-    centre = balls.midpoints(at.P)
-    # |D|_F <= radius / sqrt(lambda_min(Y)), so that entries of P further off than this need no second look.
-    size = np.linalg.norm(region.L, axis=1)
-    near = 2 * region.radius / np.sqrt(max(np.linalg.eigvalsh(region.Y)[0], 1e-300)) * np.outer(size, size)
+def _find_way(at: Enclosure, region: Region, start: Float[ndarray, "n n"]) -> tuple[int, Bracket | None] | NotProved:
+    """The number of steps to the region, or to a bracket that closes into it, whichever is less work."""
+    look = Lookahead(at, region.L)
+    i, j = np.triu_indices(at.equations.n)
+    root = np.where(i == j, 1.0, np.sqrt(2.0))
+    near = _WELL_INSIDE * region.radius
+
+    def close(L: ndarray, U: ndarray) -> bool:
+        middle, half = (L + U) / 2 - look.X, np.sqrt(np.maximum(np.diag(U - L) / 2, 0.0))
+        size = (np.abs(middle) + np.outer(half, half))[i, j] * root
+        return float(size @ np.abs(region.Y) @ size) <= near**2
+
     try:
-        for steps, P in zip(range(1, min(most, MOST_STEPS) + 1), _orbit(exact, start), strict=False):
-            if isinstance(P, NotProved):
-                return NotProved(f"step {steps - 1} of the orbit: {P.reason}")
-            if not (np.abs(balls.midpoints(P.middle) - centre) <= near).all():
-                continue
-            if region.holds(at, region.seen(at, P.hull())):
-                return steps
-    except ZeroDivisionError:
-        return NotProved("the orbit was not enclosed: a matrix that must be inverted may be singular")
-    return _TOO_LONG
+        with np.errstate(all="ignore"):
+            ends = look.bracket()
+            blocks = None if ends is None else look.blocks(*ends, close)
+            arrived: tuple[int, Bracket] | None = None
+            for steps, X in enumerate(itertools.islice(look.orbit(start), MOST_STEPS), start=1):
+                u = (X - look.X)[i, j] * root
+                if u @ region.Y @ u <= near**2:
+                    return steps, None
+                if ends is not None and blocks is not None and arrived is None and contains(*ends, X):
+                    lower, upper = (_symmetric(region.L @ M @ region.L.T) for M in ends)
+                    arrived = steps, Bracket(lower, upper, blocks)
+                if arrived is not None and steps - arrived[0] >= _WORTH:
+                    return arrived
+    except np.linalg.LinAlgError:
+        return NotProved("the orbit has no numbers in floating point")
+    return NotProved(f"the orbit is followed for {MOST_STEPS} steps, and was then not yet in the region around P*")
+
+
+def _symmetric(M: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
+    """Symmetric as floating point does not leave it."""
+    return (M + M.T) / 2
 
 
 def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
@@ -224,24 +242,47 @@ def verify_convergence(exact: ExactFilter, claim: dict[str, Any]) -> str | None:
         return "so many steps or bits are not tried"
     if start.shape != exact.A.shape or not np.isfinite(start).all():
         return f"the start is no finite symmetric {len(exact.A)} x {len(exact.A)} matrix"
+    bracket = Bracket.read(proof) if any(key in proof for key in ("lower", "upper", "blocks")) else None
+    complaint = None if bracket is None else bracket.complaint(len(exact.A))
+    if complaint is not None:
+        return complaint
     found = enclose(exact, Box.read(proof["box"]))
     if isinstance(found, NotProved):
         return found.reason
     region = Region.read(proof)
     with balls.working_precision(found.bits):
         complaint = region.complaint(found)
-    if complaint is not None:
-        return complaint
+    return complaint or _complaint_of_way(exact, found, region, start, steps, bracket, bits)
+
+
+def _complaint_of_way(
+    exact: ExactFilter,
+    at: Enclosure,
+    region: Region,
+    start: Float[ndarray, "n n"],
+    steps: int,
+    bracket: Bracket | None,
+    bits: int,
+) -> str | None:
+    """Why the orbit from V_0 was not shown to reach the region, by so many steps and then by the bracket; or None."""
     with balls.working_precision(bits):
         try:
             end = NotProved("the orbit was not enclosed")
-            for end in itertools.islice(_orbit(exact, start), steps):
+            for step_, end in enumerate(itertools.islice(_orbit(exact, start), steps)):
                 if isinstance(end, NotProved):
-                    return end.reason
+                    return f"step {step_} of the orbit: {end.reason}"
+            if isinstance(end, NotProved):
+                return end.reason
+            if bracket is None:
+                inside = region.holds(at, region.seen(at, end.hull()))
+                return None if inside else f"the orbit was not shown to be in the region after {steps} steps"
+            ends = end_of(bracket, exact.equations(), exact.c, end.hull())
+            if isinstance(ends, NotProved):
+                return ends.reason
+            if not region.holds(at, between(*(region.seen(at, M) for M in ends))):
+                return f"the bracket does not lie in the region after {len(bracket.blocks)} blocks"
         except ZeroDivisionError:
             return "the orbit was not enclosed: a matrix that must be inverted may be singular"
-        if isinstance(end, NotProved) or not region.holds(found, region.seen(found, end.hull())):
-            return f"the orbit was not shown to be in the region after {steps} steps"
     return None
 
 

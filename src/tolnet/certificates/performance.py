@@ -263,10 +263,13 @@ def _plan(
     if not margin > 0:
         return None
     delta = float(f"{0.45 * margin:.2e}")
-    Y = Y * 1.01 / np.linalg.eigvalsh(Y).min()
+    eye = np.eye(len(centre))[None]
+    Y = Y * (1.01 * largest_ratio(Y, np.broadcast_to(eye, Y.shape)))
     room = delta * ((1 - delta) * centre - Fe.T @ centre @ Fe)
     reach = largest_ratio(room[None], (coupling.mT @ Y @ coupling).sum(axis=0)[None])
-    centre = centre * max(1.1 * reach, 1.01 / np.linalg.eigvalsh(centre).min())
+    centre = centre * max(1.1 * reach, 1.01 * largest_ratio(centre[None], eye))
+    if not (np.isfinite(Y).all() and np.isfinite(centre).all()):
+        return None
     return delta, shortened(np.concatenate([Y, centre[None]]), _BITS)
 
 

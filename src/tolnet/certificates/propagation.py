@@ -74,7 +74,7 @@ def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float
     """
     steps = _Steps(network, Y)
     X, bound = steps.sources.X, steps.sources.doubt
-    traces, longest = _squares(X), X[0].size
+    traces, longest = steps.squares(X), X[0].size
     x = _norms(X)
     whole = last = size = steps.squared(x)
     count = work = 0
@@ -86,7 +86,7 @@ def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float
             X, lost = steps.fewer_columns(X, x, _LEFT * delta * whole)
             x, last, bound = _norms(X), size, bound + lost
         X, r = steps.step(X, x)
-        x, squares = _norms(X), _squares(X)
+        x, squares = _norms(X), steps.squares(X)
         traces, bound, size = traces + squares, bound + steps.change(x, r), steps.squared(x)
         whole, count = whole + size, count + 1
     total = float(traces.sum())
@@ -96,23 +96,33 @@ def follow_noise(network: ExactNetwork, Y: Float[ndarray, "K n n"], delta: float
 
 
 class _Steps:
-    """F, in floating point and in parts, and what its rounding may cost."""
+    """F, in floating point and in parts, and what its rounding may cost.
+
+    In coordinates u_i x_i, u_i the power of two next to the largest root of (Y_k)_ii: nothing is rounded on the way
+    there, and a norm of a block says as much of its small states as of its large ones.
+    """
 
     def __init__(self, network: ExactNetwork, Y: Float[ndarray, "K n n"]) -> None:
         deployed = self.deployed = network.deployed
         N, n = deployed.N, deployed.n
-        self.weight = np.abs(Y).sum(axis=2).max(axis=1) * _RAISED
+        unit = self.unit = np.exp2(np.round(np.log2(np.diagonal(Y, axis1=1, axis2=2).max(axis=0)) / 2))
+        there = unit[:, None] / unit
+        self.weight = np.abs(Y / unit[:, None] / unit).sum(axis=2).max(axis=1) * _RAISED
         self.W, self.size = deployed.mixing, abs(deployed.mixing)
         self.degree = int(np.diff(self.W.indptr).max(initial=0)) + 4
-        M, size = deployed.loops
+        M, size = (Z * there for Z in deployed.loops)
         outputs = int(np.diff(deployed.columns[deployed.offsets]).max(initial=0))
-        F0 = network.centre_loops[0].rounded()
+        F0 = network.centre_loops[0].rounded() * there
         self.M = np.concatenate([M, F0[None]])
         self.doubt = _norms(np.concatenate([4 * (outputs + 4) * _U * size, 8 * _U * np.abs(F0)[None]]))
         self.sources = self._sources(F0)
         self.loop, self.coupling = _norms(self.M), _norms(self.sources.coupling)
         self.product = (n + 4) * _U
         self.N, self.n = N, n
+
+    def squares(self, X: Float[ndarray, "K n m"]) -> Float[ndarray, " K"]:
+        """tr X_k X_k' in the coordinates of the problem."""
+        return _squares(X / self.unit[:, None])
 
     def squared(self, x: Float[ndarray, " K"]) -> float:
         """A bound of |X|^2."""
@@ -167,13 +177,13 @@ class _Steps:
         centre, N, n = deployed.centre, deployed.N, deployed.n
         assert centre is not None
         L, doubt = _noise_factor(deployed)
-        P = _inputs(deployed)
+        P = sparse.diags_array(np.tile(self.unit, N + 1)) @ _inputs(deployed)
         H, spread, rough = (
             sparse.csr_array(Z).toarray().reshape(N + 1, n, -1)
             for Z in (P @ L, abs(P) @ abs(L), abs(P) @ sparse.diags_array(np.sqrt(doubt)))
         )
         far = _norms(rough)  # |p' S q| <= sqrt(p' D p q' D q) for +-S <= D
-        tilt, c = centre.tilt, 4 * (H.shape[2] + n + centre.tilt.shape[1] + 8) * _U
+        tilt, c = centre.tilt / self.unit[:, None], 4 * (H.shape[2] + n + centre.tilt.shape[1] + 8) * _U
         E, E_error = H @ H[N].T, _RAISED * (_norms(c * spread @ spread[N].T) + far * far[N])
         K, K_error = tilt @ (tilt.T @ F0), c * _norm(np.abs(tilt) @ (np.abs(tilt).T @ np.abs(F0)))
         E_norms = _norms(E)
@@ -200,12 +210,13 @@ def _noise_factor(deployed: Deployed) -> tuple[sparse.csr_array, Float[ndarray, 
 
 
 def _factor(S: Float[ndarray, "p p"]) -> tuple[Float[ndarray, "p p"], Float[ndarray, " p"]]:
-    """L with L L' near a semidefinite S, and the row sums of a bound of |S - L L'|."""
+    """L with L L' near a semidefinite S, and d with +-(S - L L') <= diag(d), in the units that S has."""
     scale = np.sqrt(np.maximum(np.diagonal(S), np.finfo(float).tiny))
     values, V = np.linalg.eigh(S / scale[:, None] / scale)
     L = scale[:, None] * V * np.sqrt(np.maximum(values, 0.0))
     size = np.abs(L) @ np.abs(L).T + np.abs(S)
-    return L, _RAISED * (np.abs(S - L @ L.T) + 2 * (len(S) + 4) * _U * size).sum(axis=1) + _TINY
+    missed = np.abs(S - L @ L.T) + 2 * (len(S) + 4) * _U * size
+    return L, _RAISED * (missed * (scale[:, None] / scale)).sum(axis=1) + _TINY  # 2 x y <= x^2 s / t + y^2 t / s
 
 
 def _inputs(deployed: Deployed) -> sparse.csr_array:

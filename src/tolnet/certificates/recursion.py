@@ -51,6 +51,8 @@ def approximate_theta(P: Float[ndarray, "n n"], c: float) -> float:
     if not np.isfinite(P).all():
         return np.nan
     eigenvalues = np.linalg.eigvalsh(P)
+    if not eigenvalues[-1] > 0:
+        return 0.0 if c == 0 else np.nan
     mu = float(approximate_excess(eigenvalues, c)[-1])
     return 0.0 if c == 0 else mu / (1 + mu) / float(eigenvalues[-1])
 
@@ -99,7 +101,7 @@ def step(equations: Equations, P: Around, c: float) -> Around | NotProved:
     theta = enclose_theta(equations, P.middle, c)
     if isinstance(theta, NotProved):
         return theta
-    following = equations.following(_without_H(equations, P.middle, theta))
+    following = equations.following(without_H(equations, P.middle, theta))
     hull, reach, room = P.hull(), theta, balls.ball(0)
     for _ in range(_WIDENINGS):
         at = equations.at(hull, reach)
@@ -118,7 +120,7 @@ def step(equations: Equations, P: Around, c: float) -> Around | NotProved:
     return NotProved("theta was not enclosed")
 
 
-def _without_H(equations: Equations, P: BallMatrix, theta: Ball) -> Point:
+def without_H(equations: Equations, P: BallMatrix, theta: Ball) -> Point:
     """The point (P, theta), where only the recursion is wanted."""
     W = (balls.identity(equations.n) + P * (equations.S - equations.metric * theta)).inv()
     return Point(P, theta, W, balls.symmetric_part(W * P), None)
@@ -148,6 +150,17 @@ def enclose_theta(equations: Equations, P: BallMatrix, c: float) -> Ball | NotPr
     if not (X > 0 and X.contains_interior(root) and equations.is_inside(P, X)):
         return NotProved("theta was not enclosed")
     return root
+
+
+def enclose_kappa(equations: Equations, c: float) -> tuple[Ball, Ball] | NotProved:
+    """Exact numbers just below and just above the root kappa >= 1 of kappa - 1 - log kappa = c."""
+    if c == 0:
+        return balls.ball(1), balls.ball(1)
+    excess = balls.ball(float(approximate_excess(np.ones(1), c)[0]))
+    below, above = ((1 + excess * (1 + sign * balls.ball(2) ** -40)).mid() for sign in (-1, 1))
+    if not (below > 1 and below - 1 - below.log() <= equations.c <= above - 1 - above.log()):
+        return NotProved("the factor kappa of the tolerance was not enclosed")
+    return below, above
 
 
 def _gamma(P: BallMatrix, theta: Ball) -> tuple[Ball, Ball]:

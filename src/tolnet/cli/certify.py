@@ -196,8 +196,11 @@ def _decide(
 
     evidence = subject.evidence
     listed = None if scenarios is None else read_scenarios(scenarios, subject.deployed)
+    of_filters = [claim for claim in wanted if claim in FILTER_CLAIMS]
     for claim in wanted:
-        with console.progress(claim) as progress:
+        together = claim in of_filters[:1]
+        words = (", ".join(of_filters), "filters") if together else (claim, "")
+        with console.progress(*words) as progress:
             match claim:
                 case "schur-stability":
                     yield evidence.stability(progress)
@@ -210,8 +213,8 @@ def _decide(
                         yield evidence.scenarios(listed, progress)
                     if drop_links is not None:
                         yield evidence.link_losses(drop_links, progress)
-                case _ if claim == next(name for name in wanted if name in FILTER_CLAIMS):
-                    yield from _decide_filters(subject, [c for c in wanted if c in FILTER_CLAIMS], progress)
+                case _ if together:
+                    yield from _decide_filters(subject, of_filters, progress)
 
 
 def _decide_filters(subject: Subject, claims: Sequence[str], progress: ProgressBar) -> Iterator[Verdict]:
@@ -229,9 +232,15 @@ def _decide_filters(subject: Subject, claims: Sequence[str], progress: ProgressB
         own = float(central.tolerance), central.P, float(central.theta)
         centre = find_centre(subject.deployed, *own)
         nodes, c, P, theta = ["centre", *nodes], [own[0], *c], [own[1], *P], [own[2], *theta]
-    parts = SteadyStates(nodes, c, P, theta, centre).parts(_at_a_time(len(nodes)))
+    size = _at_a_time(len(nodes))
+    parts = SteadyStates(nodes, c, P, theta, centre).parts(size)
     work = partial(decide, deployed=subject.deployed, claims=claims)
-    found = [verdict for verdicts in in_parallel(work, parts, progress) for verdict in verdicts]
+    progress(0, len(nodes))
+
+    def count(done: int, _: int) -> None:
+        progress(min(done * size, len(nodes)), len(nodes))
+
+    found = [verdict for verdicts in in_parallel(work, parts, count) for verdict in verdicts]
     for claim in claims:
         yield from (verdict for verdict in found if verdict.claim == claim)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 1.0
 """Seconds of work before a progress bar appears."""
+EVERY = 10.0
+"""Seconds between two lines about the work, where standard error is a file or a pipe."""
 WIDE = 240
 """Columns when nobody's terminal limits them: nothing is cut in a file or a pipe."""
 
@@ -44,6 +47,7 @@ class Console:
     def __init__(self, *, json: bool, quiet: bool) -> None:
         self.json = json
         self.quiet = quiet
+        self._clock = _Clock()
 
     def show(self, *renderables: RenderableType) -> None:
         """Print text or rich tables for people."""
@@ -82,25 +86,55 @@ class Console:
         if not self.quiet:
             _write("stderr", [f"{text}\n"])
 
-    def progress(self, what: str) -> ProgressBar:
-        """A bar on standard error for work within it that takes over a second, where a person looks at it."""
-        return ProgressBar(what, wanted=not self.quiet and sys.stderr.isatty())
+    def progress(self, what: str, unit: str = "") -> ProgressBar:
+        """On standard error, how far the work within it is, counted in `unit`s.
+
+        On a terminal, a bar for work that takes over a second; elsewhere, a line every ten seconds of the command.
+        """
+        return ProgressBar(what, wanted=not self.quiet, unit=unit, clock=None if sys.stderr.isatty() else self._clock)
+
+
+class _Clock:
+    """When a command began, by its name, and when it last said how far it is."""
+
+    def __init__(self) -> None:
+        # Typer brings a Click of its own, under a private name that changes; this one has been there in all versions.
+        from typer.main import get_current_context  # pyright: ignore[reportPrivateImportUsage]
+
+        context = get_current_context(silent=True)
+        self.name = "tolnet" if context is None or context.info_name is None else context.info_name
+        self.began = self.said = time.monotonic()
+
+    def due(self) -> float:
+        """Seconds until the next line."""
+        return max(0.0, self.said + EVERY - time.monotonic())
+
+    def line(self, how_far: str) -> str:
+        """The next line, which is said now."""
+        self.said = time.monotonic()
+        return f"{self.name}: {how_far}, {self.said - self.began:.0f} s\n"
 
 
 class ProgressBar:
     """A bar that appears once the work within it has taken PATIENCE seconds, and clears itself at the end.
 
-    Called with (done, total) as the work goes on; it pulses where nothing counts the work.
+    Called with (done, total) as the work goes on; it pulses where nothing counts the work. With a clock it says lines
+    instead.
     """
 
-    def __init__(self, what: str, *, wanted: bool) -> None:
-        self._what, self._wanted = what, wanted
+    def __init__(self, what: str, *, wanted: bool, unit: str = "", clock: _Clock | None = None) -> None:
+        self._what, self._wanted, self._unit, self._clock = what, wanted, unit, clock
         self._done = 0
         self._total: int | None = None
         self._lock = threading.Lock()
         self._bar: Progress | None = None
-        self._timer = threading.Timer(PATIENCE, self._appear)
-        self._timer.daemon = True
+        self._timer = self._after(PATIENCE, self._appear) if clock is None else self._after(clock.due(), self._say)
+
+    @staticmethod
+    def _after(seconds: float, what: Callable[[], None]) -> threading.Timer:
+        timer = threading.Timer(seconds, what)
+        timer.daemon = True
+        return timer
 
     def __enter__(self) -> ProgressBar:
         if self._wanted:
@@ -110,9 +144,9 @@ class ProgressBar:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._timer.cancel()
         with self._lock:
             self._wanted = False
+            self._timer.cancel()
             if self._bar is not None:
                 self._bar.stop()
 
@@ -129,6 +163,15 @@ class ProgressBar:
             self._what = f"{what}: {value:.6g}"
             if self._bar is not None:
                 self._bar.update(self._bar.task_ids[0], description=self._what)
+
+    def _say(self) -> None:
+        with self._lock:
+            if self._clock is None or not self._wanted:
+                return
+            count = "" if self._total is None else f" {self._done:,} of {self._total:,} {self._unit}".rstrip()
+            _write("stderr", [self._clock.line(self._what + count)])
+            self._timer = self._after(EVERY, self._say)
+            self._timer.start()
 
     def _appear(self) -> None:
         from rich.console import Console as RichConsole

@@ -224,15 +224,22 @@ class Evidence:
 
     def performance(self) -> Proved | Undecided:
         """MSD of every node, enclosed."""
-        from tolnet.analysis.lyapunov_dense import solve_smith
-
         Q = centre = None
         if self.centre_loop is not None:
             centre = full_candidate(self.centre_loop.T)
             if (self.deployed.N + 1) * self.deployed.n <= MOST and centre is not None and self.dual is not None:
-                F, noise = ExactDynamics(self.exact).rounded()
-                Q = solve_smith(F, noise).X
+                Q = self._covariance(self.dual)
         return prove_performance(self.exact, Q, self.dual, centre)
+
+    def _covariance(self, dual: ndarray) -> ndarray:
+        """Q = F Q F' + G G', by way of units in which the dual matrices are near I, so that F contracts."""
+        from tolnet.analysis.lyapunov_dense import solve_smith
+
+        F, noise = ExactDynamics(self.exact).rounded()
+        one = np.exp2(np.round(np.log2(np.diagonal(dual, axis1=1, axis2=2).max(axis=0)) / 2))
+        unit = np.tile(one, self.deployed.N + 1)
+        both = unit[:, None] * unit
+        return solve_smith(F * (unit[:, None] / unit), noise * both).X / both
 
     def link_losses(self, most: int, progress: Progress | None = None) -> Verdict:
         """One Y for every loss of at most `most` links."""

@@ -57,9 +57,10 @@ def prepare(
     import numpy as np
 
     from tolnet import analysis
+    from tolnet.certificates.document import SCHEMA, certificate_json
     from tolnet.cli.evidence import Evidence
     from tolnet.design.diffusion import check_rule, diffusion_matrix
-    from tolnet.design.export import Reasons
+    from tolnet.design.export import Reasons, opening
     from tolnet.design.export.deployed import read_deployed
     from tolnet.design.export.deployment import Deployment
     from tolnet.model import Complaint, InputError, UnsupportedError
@@ -82,6 +83,8 @@ def prepare(
         solved = solve_table(network, ambiguity, console)
         if not solved.local.exists.all():
             complain(Reasons(solved).offenders(), "no answer")
+            status = str(solved.local.status[int(np.argmin(solved.local.exists))])
+            console.document(certificate_json(opening(SCHEMA, network, status, ambiguity), {}, []))
             raise typer.Exit(NO_ANSWER)
         central, local = solved.central, solved.local
         deployment = Deployment.of(solved, diffusion_matrix(network, diffusion, solved))

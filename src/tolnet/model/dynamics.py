@@ -325,7 +325,8 @@ class Performance(_ReadOnly):
     @property
     def msd_db(self) -> float:
         """10 log10 of the mean."""
-        return float(10 * np.log10(self.msd))
+        with np.errstate(divide="ignore"):  # minus infinity for nothing
+            return float(10 * np.log10(self.msd))
 
     @property
     def spectral_radius(self) -> float:

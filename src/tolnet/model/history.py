@@ -68,7 +68,8 @@ class FilterHistory(_ReadOnly):
     @property
     def msd_db(self) -> Float[ndarray, " T1"]:
         """10 log10 of the mean."""
-        return 10 * np.log10(self.msd)
+        with np.errstate(divide="ignore"):  # minus infinity for nothing
+            return 10 * np.log10(self.msd)
 
     def __repr__(self) -> str:
         return f"<FilterHistory {self.kind.name}, {len(self.theta)} steps: ends at {self.msd_db[-1]:.4f} dB>"

@@ -103,7 +103,8 @@ class LeastFavourableModel(_ReadOnly):
     def residual(self) -> float:
         """|defect| / |R_next|, the worst over time."""
         R = self.error_covariance if self.horizon is None else self.error_covariance[1:]
-        sizes = np.linalg.norm(self.defect, axis=(-1, -2)) / np.linalg.norm(R, axis=(-1, -2))
+        whole = np.maximum(np.linalg.norm(R, axis=(-1, -2)), np.finfo(float).tiny)  # zero without noise
+        sizes = np.linalg.norm(self.defect, axis=(-1, -2)) / whole
         return float(np.max(sizes, initial=0.0))
 
     @cached_property

@@ -233,7 +233,8 @@ def _moved(found: Diffusion) -> Table | None:
     before, after = found.baseline_node_msd, found.node_msd
     if not (np.isfinite(before).all() and np.isfinite(after).all()):
         return None
-    change = 10 * np.log10(after / before)
+    tiny = np.finfo(float).tiny  # a plant without noise has deviations of zero
+    change = 10 * (np.log10(np.maximum(after, tiny)) - np.log10(np.maximum(before, tiny)))
     order = np.argsort(-np.abs(change), kind="stable")[:_ROWS]
     table = empty_table(
         ["node", "MSD before", "MSD after", "change [dB]", "own weight", "neighbours in use"], words=()

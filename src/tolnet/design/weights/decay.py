@@ -101,14 +101,22 @@ class SecondMoments:
         return float(np.abs(found).max())
 
     def resolvent(self, w: Float[ndarray, " L"], s: float, *, adjoint: bool = False) -> Float[ndarray, "N n n"]:
-        """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius."""
+        """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius.
+
+        NaN where floating point finds none, as at the radius 0.
+        """
         from scipy.sparse.linalg import LinearOperator, gmres
 
         weighing, one = self.weighing(w), np.broadcast_to(np.eye(self.shape[1]), self.shape)
         apply = self.adjoint if adjoint else self.apply
+        if not s > 0:
+            return np.full(self.shape, np.nan)
         if self.size <= _DENSE_UP_TO:
             T = self._dense(weighing)
-            X = np.linalg.solve(np.eye(self.size) - (T.T if adjoint else T) / s, one.ravel())
+            try:
+                X = np.linalg.solve(np.eye(self.size) - (T.T if adjoint else T) / s, one.ravel())
+            except np.linalg.LinAlgError:
+                return np.full(self.shape, np.nan)
         else:
             kind: Any = LinearOperator
             operator = kind(
@@ -131,8 +139,11 @@ class SecondMoments:
         grown = np.inf
         for _ in range(2000):
             following = self.apply(weighing, X)
-            grown = float(np.linalg.norm(following) / np.linalg.norm(X))
-            X = following / np.linalg.norm(following)
+            size = float(np.linalg.norm(following))
+            grown = size / float(np.linalg.norm(X))
+            if not size > 0:
+                break
+            X = following / size
         return grown
 
 
@@ -198,6 +209,8 @@ def certify(moments: SecondMoments, w: Float[ndarray, " L"]) -> DecayCertificate
 
 def margin_of(moments: SecondMoments, w: Float[ndarray, " L"], X: Float[ndarray, "N n n"], s: float) -> float:
     """The least eigenvalue of I - X_k^-1/2 T_W(X)_k X_k^-1/2 / s over all k; -inf unless every X_k > 0."""
+    if not np.isfinite(X).all():
+        return -np.inf
     eigenvalues, U = np.linalg.eigh(X)
     if not eigenvalues.min() > 0:
         return -np.inf
@@ -219,6 +232,8 @@ def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCert
     programs: dict[int, Any] = {}
     for k in range(moments.columns.nodes):
         P = _seen_from(moments, certificate.X, k)
+        if P is None:
+            continue  # the bound of the other nodes stays one
         d = len(P)
         if d not in programs:
             Lambda, t = cp.Variable((n, n), PSD=True), cp.Variable()
@@ -242,13 +257,17 @@ def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCert
     return float(np.sqrt(worst))
 
 
-def _seen_from(moments: SecondMoments, X: Float[ndarray, "N n n"], k: int) -> Float[ndarray, "d n n"]:
-    """X_k^-1/2 M_l X_l M_l' X_k^-1/2 for the nodes l that node k hears."""
+def _seen_from(moments: SecondMoments, X: Float[ndarray, "N n n"], k: int) -> Float[ndarray, "d n n"] | None:
+    """X_k^-1/2 M_l X_l M_l' X_k^-1/2 for the nodes l that node k hears; None where rounding left no X_k > 0."""
+    if not np.isfinite(X).all():
+        return None
     values, U = np.linalg.eigh(X[k])
+    if not values[0] > 0:
+        return None
     root = U / np.sqrt(values)
     l = moments.columns.sender[moments.columns.offsets[k] : moments.columns.offsets[k + 1]]
     P = root.T @ moments.M[l] @ X[l] @ moments.M[l].mT @ root
-    return (P + P.mT) / 2
+    return (P + P.mT) / 2 if np.isfinite(P).all() else None
 
 
 def _round(
@@ -272,11 +291,13 @@ def _round(
         if len(l) == 1:
             continue
         cost = np.einsum("ij,lji->l", Y[k], moments.M[l] @ X[l] @ moments.M[l].mT)
-        P = _seen_from(moments, X, k) / s
-        found = programs.best(P, cost, np.where(l == k, among.lower[k], 0.0))
+        P = _seen_from(moments, X, k)
+        if P is None:
+            continue
+        found = programs.best(P / s, cost, np.where(l == k, among.lower[k], 0.0))
         if found is None:
             continue
-        seen = np.einsum("l,lij->ij", np.maximum(found, 0.0), P)
+        seen = np.einsum("l,lij->ij", np.maximum(found, 0.0), P / s)
         if np.linalg.eigvalsh(seen).max() <= 1 + _FEASIBLE:
             target[here] = found
     target = among.project(target)

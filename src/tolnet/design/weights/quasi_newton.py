@@ -23,6 +23,8 @@ from numpy import ndarray
 from tolnet.analysis.curvature import Curvature
 
 _MEMORY = 20
+_LEAST = 1e-150
+"""Change of the gradient along a step below which its reciprocal may overflow."""
 _INNER = 60
 _ENOUGH = 1e-4
 """A step must gain this part of what the gradient promises."""
@@ -68,8 +70,8 @@ class _Memory:
         return cls(deque(maxlen=_MEMORY))
 
     def add(self, s: Float[ndarray, " z"], y: Float[ndarray, " z"]) -> None:
-        """Keep a pair along which the gradient grew: others would make the model indefinite."""
-        if s @ y > 1e-10 * np.linalg.norm(s) * np.linalg.norm(y):
+        """Keep a pair along which the gradient grew: others would make the model indefinite, or have no inverse."""
+        if s @ y > max(1e-10 * np.linalg.norm(s) * np.linalg.norm(y), _LEAST):
             self.changes.append((s, y))
 
     def hessian(self, B: Curvature) -> Map:

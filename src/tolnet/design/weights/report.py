@@ -74,7 +74,7 @@ def tell_msd(
         starts=tuple(found.starts),
         best_start=found.best_start,
         history=np.array(found.history),
-        change=float(value / found.value - 1),
+        change=float(value / found.value - 1) if found.value else 0.0,
         residual=residual,
         evaluations=found.evaluations,
         converged=found.converged,

@@ -67,7 +67,7 @@ def by_decay(at: Setting, sdp: bool, watch: Watch) -> Diffusion:
         design.certificate.rate,
         design.starts[at.rule],
         design.bound,
-        design.certificate.rate / design.before - 1,
+        design.certificate.rate / design.before - 1 if design.before > 0 else 0.0,
         rates,
         design.history,
     )
