@@ -137,7 +137,12 @@ def test_window_json_has_the_numbers_of_the_library(tolnet: Tolnet):
     assert document["budget"] == {"solves": 0.5}
     assert [node["trace"] for node in document["nodes"]] == choice.node_trace.tolist()
     assert {node["interval"] for node in document["nodes"]} <= {None, 4}
-    assert [point["trace"] for point in document["front"]] == [point.trace for point in choice.front]
+    points = [*choice.front, *choice.mixtures]
+    assert [point["trace"] for point in document["front"]] == [point.trace for point in points]
+    assert [point["solving"] for point in document["front"]] == [point.solving for point in points]
+    assert (document["solves"], document["solve_rate"]) == (choice.solves, choice.rate)
+    for point in document["front"][len(choice.front) :]:
+        assert len(point["intervals"]) == 4
     assert document["nodes"][0]["weights"][0]["sender"] == 0
 
 
@@ -146,6 +151,7 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
     ran = tolnet(*WINDOW, *outputs, "--plot", tmp_path / "w.png")
     assert ran.code == 0
     assert "below Algorithm 1" in ran.out
+    assert "24 fusion problems in 12 steps, 0.5 a step and node on average" in ran.out
     assert "tolnet window field --windows 1,2 --intervals 1,4 --steps 12 -o designed.toml" in ran.out
     document = json.loads((tmp_path / "w.json").read_text())
     rows = list(csv.DictReader(line for line in (tmp_path / "w.csv").read_text().splitlines() if line[0] != "#"))
