@@ -18,8 +18,8 @@ _NAMED_UP_TO = 60
 
 
 def window_figure(choice: WindowChoice) -> Figure:
-    """Left: mean tr P over solves, with all nodes alike one line a window length, node by node crosses; filled, or bold,
-    where nothing cheaper is as good; a star is what was chosen. Right: tr P of every node, before and after.
+    """Left: mean tr P over solves, with all nodes alike one line a window length, node by node crosses; filled, or
+    bold, where nothing cheaper is as good; a star is what was chosen. Right: tr P of every node, before and after.
     """
     from matplotlib.figure import Figure
 
