@@ -52,6 +52,19 @@ def settling_tolerance(answer: ToleranceTable, *, uniform: bool = False) -> floa
     return _largest(good, high)
 
 
+def answering_tolerance(answer: ToleranceTable, *, uniform: bool = False) -> float | None:
+    """A tolerance at which a performance has more numbers, where more filters settle or a fold is not reached; or None.
+
+    With `uniform` the filters with c_k = c at every node count as well.
+    """
+    smaller, there = None, answer
+    for alike in (False, True) if uniform else (False,):
+        at = _again(answer, there.tolerance, uniform=True) if alike else there
+        if not at.ok and (settling := settling_tolerance(at, uniform=alike)) is not None:
+            smaller, there = settling, _again(answer, settling, uniform=False)
+    return performing_tolerance(there) or smaller
+
+
 def at_little_tolerance(answer: ToleranceTable, *, uniform: bool = False) -> ToleranceTable:
     """The same table at hardly any tolerance: what does not settle there is not helped by a smaller one."""
     return _again(answer, _LITTLE * min(answer.tolerance, 1.0), uniform)

@@ -141,7 +141,8 @@ class SecondMoments:
             X = (s - T)^-1 I,  Y = (s - T*)^-1 I,  phi(s) = <I, X>,  phi'(s) = -<Y, X>
 
         X >= 0 exactly where s is above the radius, at which 1 / phi has its zero: Newton's method from above, with
-        steps halved that overshoot. X and Y tend to the eigenvectors. None where rounding forbids it.
+        steps halved that overshoot, from where s was above. X and Y tend to the eigenvectors. None where rounding
+        forbids it.
         """
         T = self.dense(weighing)
         one = np.broadcast_to(np.eye(self.shape[1]), self.shape)
@@ -150,19 +151,19 @@ class SecondMoments:
             following = self.apply(weighing, X)
             grown = float(np.linalg.norm(following) / np.linalg.norm(X))
             X = following / max(float(np.linalg.norm(following)), np.finfo(float).tiny)
-        s, step, best = _FIRST * grown, 0.0, None
+        s, above, step, best = _FIRST * grown, 0.0, 0.0, None
         for _ in range(_STEPS):
             found = self._resolvents(T, s)
             if found is None and best is not None:
                 step /= 2
-                s = best.radius - step
+                s = above - step
             elif found is None:
                 s *= 2
             else:
-                best = Perron(s, *found)
-                step = _BEYOND * float(np.trace(best.X, axis1=1, axis2=2).sum() / np.vdot(best.X, best.Y))
-                s = best.radius - step
-            if best is not None and not step > _SETTLED * best.radius:
+                whole = float(np.trace(found[0], axis1=1, axis2=2).sum() / np.vdot(*found))
+                best, step = Perron(s - whole, *found), _BEYOND * whole
+                above, s = s, s - step
+            if best is not None and not step > _SETTLED * above:
                 break
             if not 0 < s < np.inf:
                 return None
