@@ -53,7 +53,7 @@ def settling_tolerance(answer: ToleranceTable, *, uniform: bool = False) -> floa
 
 
 def answering_tolerance(answer: ToleranceTable, *, uniform: bool = False) -> float | None:
-    """A tolerance at which a performance has more numbers, where more filters settle or a fold is not reached; or None.
+    """A tolerance at which a performance has more numbers: more filters settle, or it is below the fold; or None.
 
     With `uniform` the filters with c_k = c at every node count as well.
     """
