@@ -16,8 +16,8 @@ WINDOWS, INTERVALS = (1, 2, 3), (1, 2, 5, 10)
 """What is tried by default, every window with every interval."""
 _AS_GOOD = 1e-3
 """A choice is good where no node is worse by more, relatively, than with the best that all nodes alike can afford."""
-_RUNS_A_NODE = 4
-"""How many runs the search takes for each node, about."""
+_RUNS_A_NODE = 3
+"""How many runs the search takes for each node, about; in large networks it ends with them."""
 _DUST = 1e-6
 """What an interior-point method leaves of a weight that is zero."""
 _DOUBLE = 8
@@ -54,8 +54,11 @@ def choose_window(
     lengths, every = sorted(set(windows)), sorted(set(intervals))
     _check(network, limits, lengths, every, steps)
     N, pairs = network.N, [(1, 0), *((L, interval) for L in lengths for interval in every)]
-    count = _Count(len(pairs) + _RUNS_A_NODE * N, progress)
-    trials = Trials(network, steps, lambda *choice: _point(network, *choice, limits), count.one_more)
+    about = len(pairs) + _RUNS_A_NODE * N
+    count = _Count(about, progress)
+    trials = Trials(
+        network, steps, lambda L, interval, trace: _point(network, L, interval, trace, limits), about, count.one_more
+    )
     alike = [trials.at(np.full(N, L), np.full(N, interval)) for L, interval in pairs]
     within = [point for point in alike if point.affordable]
     most = np.array(min(within, key=lambda point: point.trace).node_trace) * (1 + _AS_GOOD)

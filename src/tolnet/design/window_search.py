@@ -6,7 +6,8 @@ With all nodes alike every node looks as good as its neighbours make it. So, fro
                that it saves; again and again, until nobody solves. A loss grows as others stop solving (nobody else
                makes up for it), so the loss at an earlier stage bounds the present one from below: only what looks
                best is followed again (lazy greedy)
-    exchange   what a node has for what a neighbour has, as long as the trace falls; then save what can be saved
+    exchange   what a node has for what a neighbour has, as long as the trace falls; then save what can be saved. In
+               networks of more than 12 nodes both end when a number of runs is spent
 
 Every loss is that of covariances that were followed, none is estimated. Greedy choices are no proof of the best one.
 Source: docs/mathematics.md, section 13.9; docs/decisions/0026-window-search.md.
@@ -43,6 +44,8 @@ class Trials:
     network: CorruptedNetwork
     steps: int
     make: Makes
+    most: int
+    """Runs after which large networks are improved no further."""
     followed: Callable[[], None]
     """Called after each run."""
     _seen: dict[bytes, WindowPoint] = field(default_factory=dict)
@@ -52,6 +55,11 @@ class Trials:
         """What was followed with nodes that are not all alike."""
         mixed = [np.ptp(point.windows) > 0 or np.ptp(point.intervals) > 0 for point in self._seen.values()]
         return [point for point, differ in zip(self._seen.values(), mixed, strict=True) if differ]
+
+    @property
+    def spent(self) -> bool:
+        """Whether a large network had its runs."""
+        return self.network.N > _SMALL and len(self._seen) >= self.most
 
     def at(self, windows: Int[ndarray, " N"], intervals: Int[ndarray, " N"]) -> WindowPoint:
         """Follow it, unless it was. A node that never solves keeps one pair."""
@@ -111,12 +119,14 @@ def lengthen(trials: Trials, path: Sequence[WindowPoint], intervals: Sequence[in
 
 
 def exchange(trials: Trials, start: WindowPoint) -> WindowPoint:
-    """Two nodes' choices for each other, as long as that lowers the trace; it costs the same."""
+    """Two nodes' choices for each other, as long as that lowers the trace and runs are left; it costs the same."""
     network, here = trials.network, start
     improved = True
-    while improved:
+    while improved and not trials.spent:
         improved = False
         for i, j in _pairs(network):
+            if trials.spent:
+                break
             if here.windows[i] == here.windows[j] and here.intervals[i] == here.intervals[j]:
                 continue
             order = np.arange(network.N)
@@ -135,7 +145,7 @@ def save(
     cheapest = sorted(pairs, key=lambda pair: (1 / pair[1] if pair[1] else 0.0, pair[0]))
     for i in np.flatnonzero(start.intervals).tolist():
         for L, interval in cheapest:
-            if (1 / interval if interval else 0.0, L) >= (1 / here.intervals[i], here.windows[i]):
+            if trials.spent or (1 / interval if interval else 0.0, L) >= (1 / here.intervals[i], here.windows[i]):
                 break
             there = trials.at(_with(here.windows, i, L), _with(here.intervals, i, interval))
             if good(there):

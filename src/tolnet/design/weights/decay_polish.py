@@ -112,9 +112,20 @@ def polish(
     own = np.zeros_like(w)
     own[columns.own] = among.lower
     free = np.maximum((w - own) / np.maximum(room, np.finfo(float).tiny)[columns.hearer], _LEAST_WEIGHT)
-    here, evaluations = at(np.log(free)), 1
-    H = np.eye(len(w))
-    for step in range(_STEPS if here is not None else 0):
+    before, begin = moments.radius(w), at(np.log(free))
+    if begin is None:
+        return Polished(w, before, 1)
+    end, evaluations = _descend(at, begin, watch)
+    found, radius = _without_dust(moments, among, end.w)
+    return Polished(found, radius, evaluations) if radius < before else Polished(w, before, evaluations)
+
+
+def _descend(
+    at: Callable[[ndarray], _Point | None], here: _Point, watch: Callable[[float], None]
+) -> tuple[_Point, int]:
+    """BFGS from a point, until a step lowers the rate by next to nothing."""
+    H, evaluations = np.eye(len(here.z)), 1
+    for step in range(_STEPS):
         direction = -H @ here.slope
         if not here.slope @ direction < 0:
             break
@@ -123,19 +134,15 @@ def polish(
         if reached is None:
             break
         s, y = reached.z - here.z, reached.slope - here.slope
-        if (along := s @ y) > np.finfo(float).eps * np.linalg.norm(s) * np.linalg.norm(y):
-            H = _updated(H * (along / (y @ y)) if step == 0 else H, s, y, along)
+        along = float(s @ y)
+        if along > np.finfo(float).eps * np.linalg.norm(s) * np.linalg.norm(y):
+            H = _updated(H * (along / float(y @ y)) if step == 0 else H, s, y, along)
         settled = here.rate - reached.rate < _SETTLED * here.rate
         here = reached
         watch(here.rate**2)
         if settled:
             break
-    before = moments.radius(w)
-    if here is not None:
-        found, radius = _without_dust(moments, among, here.w)
-        if radius < before:
-            return Polished(found, radius, evaluations)
-    return Polished(w, before, evaluations)
+    return here, evaluations
 
 
 def _weak_wolfe(

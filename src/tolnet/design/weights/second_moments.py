@@ -171,10 +171,11 @@ class SecondMoments:
 
     def _resolvents(self, T: Float[ndarray, "d d"], s: float) -> tuple[ndarray, ndarray] | None:
         """X and Y at s; None where X is not positive semidefinite: s is not above the radius."""
-        from scipy.linalg import lapack
+        from scipy.linalg import get_lapack_funcs
 
-        factor: Any = lapack.dgetrf
-        solve: Any = lapack.dgetrs
+        factor: Any
+        solve: Any
+        factor, solve = get_lapack_funcs(("getrf", "getrs"), (T,))
         one = self._packed(np.broadcast_to(np.eye(self.shape[1]), self.shape))
         lu, pivots, info = factor(s * np.eye(len(T)) - T)
         if info:
