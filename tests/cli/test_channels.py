@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -151,9 +152,12 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
     ran = tolnet(*WINDOW, *outputs, "--plot", tmp_path / "w.png")
     assert ran.code == 0
     assert "below Algorithm 1" in ran.out
-    assert "24 fusion problems in 12 steps, 0.5 a step and node on average" in ran.out
     assert "tolnet window field --windows 1,2 --intervals 1,4 --steps 12 -o designed.toml" in ran.out
     document = json.loads((tmp_path / "w.json").read_text())
+    assert (
+        f"{document['solves']} fusion problems in 12 steps, {document['solve_rate']:.4g} a step and node" in ran.out
+    )
+    assert document["solves"] == 12 * sum(1 / (node["interval"] or math.inf) for node in document["nodes"])
     rows = list(csv.DictReader(line for line in (tmp_path / "w.csv").read_text().splitlines() if line[0] != "#"))
     assert [float(row["trace"]) for row in rows] == [node["trace"] for node in document["nodes"]]
     assert "# Windows of field" in (tmp_path / "w.md").read_text()

@@ -132,5 +132,5 @@ class WindowChoice(_ReadOnly):
         return "DRKF-SWF" if self.interval[i] else "DRKF"
 
     def __repr__(self) -> str:
-        lengths, every = np.unique(self.window), np.unique(self.interval)
+        lengths, every = np.unique(self.window[self.interval > 0]), np.unique(self.interval)
         return f"<WindowChoice: L in {lengths.tolist()}, every {every.tolist()} steps, trace {self.trace:.6g}>"
