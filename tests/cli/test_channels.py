@@ -155,7 +155,7 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
     assert "tolnet window field --windows 1,2 --intervals 1,4 --steps 12 -o designed.toml" in ran.out
     document = json.loads((tmp_path / "w.json").read_text())
     assert (
-        f"{document['solves']} fusion problems in 12 steps, {document['solve_rate']:.4g} a step and node" in ran.out
+        f"{document['solves']} fusion problems in 12 steps, {document['solve_rate']:.4g} a step" in ran.out
     )
     assert document["solves"] == 12 * sum(1 / (node["interval"] or math.inf) for node in document["nodes"])
     rows = list(csv.DictReader(line for line in (tmp_path / "w.csv").read_text().splitlines() if line[0] != "#"))
