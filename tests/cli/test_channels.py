@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -146,7 +147,12 @@ def test_window_json_has_the_numbers_of_the_library(tolnet: Tolnet):
     assert document["budget"] == {"solves": 0.5}
     assert [node["trace"] for node in document["nodes"]] == choice.node_trace.tolist()
     assert {node["interval"] for node in document["nodes"]} <= {None, 4}
-    assert [point["trace"] for point in document["front"]] == [point.trace for point in choice.front]
+    points = [*choice.front, *choice.mixtures]
+    assert [point["trace"] for point in document["front"]] == [point.trace for point in points]
+    assert [point["solving"] for point in document["front"]] == [point.solving for point in points]
+    assert (document["solves"], document["solve_rate"]) == (choice.solves, choice.rate)
+    for point in document["front"][len(choice.front) :]:
+        assert len(point["intervals"]) == 4
     assert document["nodes"][0]["weights"][0]["sender"] == 0
 
 
@@ -157,6 +163,8 @@ def test_window_for_people_and_files(tolnet: Tolnet, tmp_path: Path):
     assert "below Algorithm 1" in ran.out
     assert "tolnet window field --windows 1,2 --intervals 1,4 --steps 12 -o designed.toml" in ran.out
     document = json.loads((tmp_path / "w.json").read_text())
+    assert f"{document['solves']} fusion problems in 12 steps, {document['solve_rate']:.4g} a step" in ran.out
+    assert document["solves"] == 12 * sum(1 / (node["interval"] or math.inf) for node in document["nodes"])
     rows = list(csv.DictReader(line for line in (tmp_path / "w.csv").read_text().splitlines() if line[0] != "#"))
     assert [float(row["trace"]) for row in rows] == [node["trace"] for node in document["nodes"]]
     assert "# Windows of field" in (tmp_path / "w.md").read_text()

@@ -66,7 +66,7 @@ def test_every_format_holds_the_same_weights(tolnet: Tolnet, small: Path, tmp_pa
 
 
 @pytest.mark.parametrize("objective", ["decay", "msd"])
-def test_the_certificate_is_accepted_by_the_checker(objective: str, tolnet: Tolnet, tmp_path: Path):
+def test_the_certificate_is_accepted_by_the_checker(objective: str, tolnet: Tolnet, process: Tolnet, tmp_path: Path):
     """Also for a network that its own weights make unstable."""
     proof, designed = tmp_path / "proof.json", tmp_path / "designed.toml"
     ran = tolnet(
@@ -77,15 +77,28 @@ def test_the_certificate_is_accepted_by_the_checker(objective: str, tolnet: Toln
     claims = {claim["claim"]: claim["verdict"] for claim in json.loads(proof.read_text())["claims"]}
     wanted = {"schur-stability": "proved"} | ({"decay-rate": "proved"} if objective == "decay" else {})
     assert claims == wanted
-    checked = tolnet("check", proof, "--json")
+    checked = process("check", proof, "--json")
     assert checked.code == 0
     broken = proof.read_text().replace('"0x1.', '"0x1.8', 1)
     proof.write_text(broken)
-    assert tolnet("check", proof).code != 0
+    assert process("check", proof).code != 0
+    assert set(ran.document["blocks"]) == {"network", "least_favourable"}
+    assert max(ran.document["blocks"].values()) == ran.document["spectral_radius"]
     if objective == "decay":
+        assert (ran.document["bound"], ran.document["gap_closed"]) == (None, None)
         certificate = ran.document["certificate"]
         assert np.array(certificate["X"]).shape[0] == len(ran.document["node_msd"])
         assert certificate["rate"] == ran.document["value"] < 1
+
+
+def test_a_rate_without_a_bound_is_told_without_a_gap_and_with_its_block(tolnet: Tolnet):
+    ran = tolnet("diffusion", "unstable-path", "--objective", "decay")
+    assert "gap closed" not in ran.out
+    assert not any(line.split()[:1] == ["bound"] for line in ran.out.splitlines())
+    assert "certified rate of the network block" in ran.out
+    head = next(line for line in ran.out.splitlines() if "weights" in line and "decay" in line)
+    assert "radius: network" in head
+    assert "least favourable" in head
 
 
 def test_rules_and_objectives_side_by_side_and_links(tolnet: Tolnet, small: Path, tmp_path: Path):

@@ -74,7 +74,8 @@ class Console:
 
     def suggest(self, *commands: str) -> None:
         """Say which commands to try next."""
-        self.show("next:", *(f"  {command}" for command in commands))
+        if commands:
+            self.show("next:", *(f"  {command}" for command in commands))
 
     def document(self, pieces: Iterable[str]) -> None:
         """Print a JSON document where one was asked for."""

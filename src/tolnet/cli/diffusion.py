@@ -158,8 +158,18 @@ def diffusion(
         "scenario-tolerance": scenario_tolerance,
         "without-link": without_link,
     }
-    console.suggest(*_next_commands(shlex.quote(problem), options, repeated(**asked), found, outputs, compare))
-    if not found.status.has_numbers:
+    if found.status.has_numbers:
+        console.suggest(*_next_commands(shlex.quote(problem), options, repeated(**asked), found, outputs, compare))
+    else:
+        from tolnet.design.smaller_tolerance import answering_tolerance
+
+        with console.progress("smaller tolerances"):
+            smaller = answering_tolerance(found.table)
+        if smaller is not None:
+            level = repeated(tolerance=f"{smaller:g}", convention=found.table.convention)
+            console.suggest(
+                f"tolnet diffusion {shlex.quote(problem)}{level} --objective {objective}{repeated(**asked)}"
+            )
         complain([f"{found.status}: {found.reason}"], "no answer")
         raise typer.Exit(NO_ANSWER)
 

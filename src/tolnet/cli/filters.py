@@ -81,6 +81,27 @@ def prepare_filters(
     return Setting(table, W, diffusion or own, names, level, options)
 
 
+def answering(at: Setting, report: FilterReport, console: Console) -> str | None:
+    """Options with which filters answer that have no answer: a smaller tolerance, where one helps; else None.
+
+    Error dynamics that are unstable are so for their weights.
+    """
+    from tolnet.design.smaller_tolerance import answering_tolerance
+
+    if {entry["status"] for entry in report.filters.values()} <= {"ok", "unstable"}:
+        return None
+    with console.progress("smaller tolerances"):
+        c = answering_tolerance(at.table, uniform="RKFDU" in report.filters)
+    if c is None:
+        return None
+    return repeated(tolerance=f"{c:g}", convention=at.table.convention) + at.options.removeprefix(at.level)
+
+
+def has_transient(report: FilterReport) -> bool:
+    """Whether steps that are followed have numbers where steady states have none: not where no gain helps."""
+    return {entry["status"] for entry in report.filters.values()} <= {"ok", "unstable", "oscillates", "fold"}
+
+
 def _choose_filters(text: str | None) -> list[str] | None:
     """The filters that a comma-separated list names, in any case of letters; None without a list."""
     from tolnet.model import InputError

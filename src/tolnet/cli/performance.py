@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from tolnet.cli.console import Console
-from tolnet.cli.filters import Setting, deliver, prepare_filters
+from tolnet.cli.filters import Setting, answering, deliver, has_transient, prepare_filters
 from tolnet.cli.options import (
     AsJson,
     Filters,
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tolnet.report.filters import FilterReport
+
+
+_TRANSIENT = "--horizon T still gives the transient, which needs no steady state"
 
 
 def performance(
@@ -88,18 +91,23 @@ def performance(
         outputs=outputs,
         plot=plot,
         draw=draw,
-        suggestions=_next_commands(shlex.quote(problem), at, report, horizon, bool(outputs)),
-        advice=None if horizon else "--horizon T still gives the transient, which needs no steady state",
+        suggestions=_next_commands(shlex.quote(problem), at, report, horizon, bool(outputs), console),
+        advice=None if horizon or not has_transient(report) else _TRANSIENT,
     )
 
 
 def _next_commands(
-    problem: str, at: Setting, report: FilterReport, horizon: int | None, written: bool
+    problem: str, at: Setting, report: FilterReport, horizon: int | None, written: bool, console: Console
 ) -> Iterator[str]:
+    """What leads on; where something has no answer, what has one."""
+    if any(entry["status"] == "unstable" for entry in report.filters.values()):
+        yield f"tolnet diffusion {problem}{at.level} -o designed.toml"
+    if not report.ok and (smaller := answering(at, report, console)) is not None:
+        yield f"tolnet performance {problem}{smaller}"
+    if not has_transient(report):
+        return
     if horizon is None:
         yield f"tolnet performance {problem}{at.options} --horizon 50 --plot performance.png"
     elif not written:
         yield f"tolnet performance {problem}{at.options} --horizon {horizon} -o performance.json"
     yield f"tolnet simulate {problem}{at.options} --runs 500 --steps {horizon or 100}"
-    if not report.ok:
-        yield f"tolnet table {problem}{at.level} --limits"

@@ -85,7 +85,9 @@ def table(
     level = repeated(tolerance=tolerance if data is None else answer.tolerance, convention=convention)
     written = [*outputs, *([plot] if plot else [])]
     console.wrote(written)
-    console.suggest(*_next_commands(shlex.quote(problem), options, level, answer, written, limits))
+    smaller, performing = _smaller(answer, uniform, console)
+    advice = _next_commands(shlex.quote(problem), options, level, answer, written, limits, smaller, performing)
+    console.suggest(*advice)
     if not answer.ok:
         from tolnet.design.export import Reasons
 
@@ -161,20 +163,49 @@ def _tell(
         console.show(*table_view(export.TableRecord.of(answer, limited)))
 
 
+def _smaller(answer: ToleranceTable, uniform: bool, console: Console) -> tuple[float | None, float | None]:
+    """Smaller tolerances, if any help: one at which more filters settle, and one at which `performance` answers."""
+    from tolnet import analysis
+    from tolnet.design.smaller_tolerance import performing_tolerance, settling_tolerance
+
+    smaller = performing = None
+    with console.progress("smaller tolerances"):
+        if not answer.ok:
+            smaller = settling_tolerance(answer, uniform=uniform)
+        if answer.tau == 0:
+            performing = performing_tolerance(answer)
+    if performing is not None:
+        reason = analysis.least_favourable_model(answer.network, answer.central).reason
+        console.note(f"`tolnet performance` and `tolnet diffusion` have no answer here: {reason}")
+    return smaller, performing
+
+
 def _next_commands(
-    problem: str, options: str, level: str, answer: ToleranceTable, written: list[Path], limits: bool
+    problem: str,
+    options: str,
+    level: str,
+    answer: ToleranceTable,
+    written: list[Path],
+    limits: bool,
+    smaller: float | None,
+    performing: float | None,
 ) -> Iterator[str]:
-    """What to try after a table; `options` are those that it was made with, `level` is its tolerance among them."""
+    """What to try after a table; `options` are those that it was made with, `level` is its tolerance among them.
+
+    Nothing that has no answer is suggested, nor a smaller tolerance where none helps.
+    """
     family = repeated(tau=answer.tau or None, uniform=answer.tau != 0)
     tables = [path for path in written if path.suffix.lower() in (".json", ".csv", ".npz")]
     if tables and answer.network.ambiguity is not None:
         yield f"tolnet diff {shlex.quote(str(tables[0]))} {problem}{family}"
     elif answer.ok and not tables:
         yield f"tolnet table {problem}{options} -o table.json -o table.h --plot map.png"
-    if not answer.ok:
-        half = repeated(tolerance=f"{answer.tolerance / 2:g}", convention=answer.convention)
-        yield f"tolnet table {problem}{half}{family}"
-    if answer.tau == 0:
+    if smaller is not None:
+        yield f"tolnet table {problem}{repeated(tolerance=f'{smaller:g}', convention=answer.convention)}{family}"
+    if performing is not None:
+        below = repeated(tolerance=f"{performing:g}", convention=answer.convention)
+        yield f"tolnet performance {problem}{below}"
+    elif answer.tau == 0 and answer.ok:
         yield f"tolnet performance {problem}{level}"
-    if answer.tau == 0 and not limits:
+    if answer.tau == 0 and not limits and (answer.ok or smaller is not None):
         yield f"tolnet table {problem}{options} --limits"

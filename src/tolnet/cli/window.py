@@ -26,7 +26,7 @@ def window(
         list[str] | None,
         typer.Option(
             metavar="WHAT=X",
-            help="solves=X (a second and node; a step without plant.dt) or bytes=X (a link and step). Repeatable.",
+            help="solves=X (a second at a node; a step without plant.dt) or bytes=X (a link and step). Repeatable.",
         ),
     ] = None,
     windows: Annotated[str, typer.Option(metavar="L,L", help="Window lengths to try.")] = WINDOWS,
@@ -39,7 +39,8 @@ def window(
 ) -> None:
     """Which fusion weights, window length and interval? A Pareto front of tr P against cost, and a choice a node.
 
-    Every node takes the cheapest that is within the budget and as good for it as the best. -o takes .json, .csv (a
+    Nodes are credited with what their own solves bring: of what is within the budget and as good at every node as the
+    best, the cheapest, where only some nodes may solve. -o takes .json, .csv (a
     row a node), .md and .toml, the problem with the choice in it: a file has one window for all nodes, which then
     differ in their intervals only.
     """

@@ -8,13 +8,16 @@ import numpy as np
 from numpy import ndarray
 
 from tolnet.analysis.channel_filters import WindowHistory, follow_window
+from tolnet.design.window_search import Trials, exchange, late, lengthen, save, thin_out
 from tolnet.model import Complaint, CorruptedNetwork, InputError
-from tolnet.model.window_choice import KeptPair, WindowChoice, WindowPoint
+from tolnet.model.window_choice import KeptPair, WindowChoice, WindowPoint, solve_rates
 
 WINDOWS, INTERVALS = (1, 2, 3), (1, 2, 5, 10)
 """What is tried by default, every window with every interval."""
 _AS_GOOD = 1e-3
-"""A node takes the cheapest that is at most this part worse for it than the best that it can afford."""
+"""A choice is good where no node is worse by more, relatively, than with the best that all nodes alike can afford."""
+_RUNS_A_NODE = 3
+"""How many runs the search takes for each node, about; in large networks it ends with them."""
 _DUST = 1e-6
 """What an interior-point method leaves of a weight that is zero."""
 _DOUBLE = 8
@@ -34,56 +37,74 @@ def choose_window(
 ) -> WindowChoice:
     """Choose the window length L_i and the interval Delta_i of every node for a budget, eqs. (13)-(18).
 
-    Every L is tried with every Delta, all nodes alike, beside Algorithm 1; each node takes the cheapest pair that is
-    within the budget and within 0.1 % of the best for it, and the mixture is followed once more. Where that is worse
-    than the best uniform pair by more than 1 %, since a node also gains by what its neighbours do, the uniform pair
-    stands. Covariances only, over `steps` steps with a clean channel whose bounds are in force; traces are means
-    over the second half. With `common_window` nodes differ in their intervals only, as a problem file can say it
-    (`WindowChoice.designed`): L is the shortest with which all nodes alike are within 0.1 % of the best.
+    Every L is tried with every Delta, all nodes alike, beside Algorithm 1. From the cheapest of these that is within
+    the budget and within 0.1 % of the best, solves are taken from one node after the other, the least loss for each
+    solve saved first; the cheapest mixture that is within 0.1 % of the best at every node is improved by exchanges,
+    and by what cheaper pairs save at each node. So nodes are credited with what their own solves bring. Covariances
+    only, over `steps` steps with a clean channel whose bounds are in force; traces are means over the second half.
+    With `common_window` nodes differ in their intervals only, as a problem file can say it (`WindowChoice.designed`).
 
-    `budget` limits `solves` (fusion problems per second and node; per step where plant.dt is missing) and `bytes`
+    `budget` limits `solves` (fusion problems per second at a node; per step where plant.dt is missing) and `bytes`
     (per link and step: 8 (n + n (n + 1) / 2) for each pair that is kept of a neighbour and carried along).
     Raises InputError for other budgets, for one that not even Algorithm 1 meets, for a window or an interval below 1,
     and for fewer than 2 steps.
-    Source: docs/mathematics.md, section 13.9.
+    Source: docs/mathematics.md, section 13.9; docs/decisions/0026-window-search.md.
     """
     limits = {key: float(value) for key, value in (budget or {}).items()}
     lengths, every = sorted(set(windows)), sorted(set(intervals))
     _check(network, limits, lengths, every, steps)
-    candidates = [(1, 0), *((L, interval) for L in lengths for interval in every)]
-    total = (len(candidates) + 1) * steps
-    done = 0
+    N, pairs = network.N, [(1, 0), *((L, interval) for L in lengths for interval in every)]
+    about = len(pairs) + _RUNS_A_NODE * N
+    count = _Count(about, progress)
+    trials = Trials(
+        network, steps, lambda L, interval, trace: _point(network, L, interval, trace, limits), about, count.one_more
+    )
+    alike = [trials.at(np.full(N, L), np.full(N, interval)) for L, interval in pairs]
+    within = [point for point in alike if point.affordable]
+    most = np.array(min(within, key=lambda point: point.trace).node_trace) * (1 + _AS_GOOD)
 
-    def step_done(k: int) -> None:
-        if progress is not None:
-            progress(done + k, total)
+    def good(point: WindowPoint) -> bool:
+        return point.affordable and bool((point.node_trace <= most).all())
 
-    tried = []
-    for L, interval in candidates:
-        history = follow_window(network, steps, L, interval, step_done=step_done)
-        tried.append(_point(network, L, interval, _late(history), limits))
-        done += steps
-    front = tuple(point._replace(on_front=_on_front(point, tried)) for point in tried)
-    within = [point for point in front if point.affordable]
-    within = _of_one_length(within) if common_window else within
-    window, interval = _cheapest(within)
-    history = follow_window(network, steps, window, interval, step_done=step_done)
-    best = min(within, key=lambda point: point.trace)
-    if _late(history).mean() > 1.01 * best.trace:
-        window, interval = np.full(network.N, best.window), np.full(network.N, best.interval)
-        history = follow_window(network, steps, window, interval)
+    start = min(filter(good, within), key=lambda point: (point.solves, point.bytes))
+    path = [start, *thin_out(trials, start, every)]
+    path += lengthen(trials, path, every)
+    chosen = exchange(trials, min(filter(good, path), key=lambda point: point.solves))
+    if common_window:
+        pairs = [(L, interval) for L, interval in pairs if chosen.window == L or not interval]
+    chosen = save(trials, chosen, good, pairs)
+    history = follow_window(network, steps, chosen.windows, chosen.intervals)
+    count.done()
+    mixed = sorted(trials.mixtures, key=lambda point: (-point.solves, point.trace))
     return WindowChoice(
         network=network,
         budget=limits,
-        window=window,
-        interval=interval,
-        node_trace=_late(history),
+        window=chosen.windows,
+        interval=chosen.intervals,
+        node_trace=late(history),
         weights=_weights(network, history),
-        front=front,
+        front=tuple(point._replace(on_front=_on_front(point, [*alike, *mixed])) for point in alike),
+        mixtures=tuple(point._replace(on_front=_on_front(point, [*alike, *mixed])) for point in mixed),
         steps=steps,
         solves=history.solves,
         fallbacks=history.fallbacks,
     )
+
+
+class _Count:
+    """How many runs are done, of how many there may be about."""
+
+    def __init__(self, about: int, progress: Progress | None) -> None:
+        self._about, self._progress, self._done = about, progress, 0
+
+    def one_more(self) -> None:
+        self._done += 1
+        if self._progress is not None:
+            self._progress(min(self._done, self._about - 1), self._about)
+
+    def done(self) -> None:
+        if self._progress is not None:
+            self._progress(self._about, self._about)
 
 
 def pair_bytes(network: CorruptedNetwork) -> int:
@@ -117,18 +138,12 @@ def _check(
         raise InputError(complaints)
 
 
-def _late(history: WindowHistory) -> ndarray:
-    """The mean of every node's trace over the second half."""
-    return history.node_trace[len(history.node_trace) // 2 :].mean(axis=0)
-
-
 def _point(
-    network: CorruptedNetwork, L: int, interval: int, node_trace: ndarray, budget: Mapping[str, float]
+    network: CorruptedNetwork, windows: ndarray, intervals: ndarray, node_trace: ndarray, budget: Mapping[str, float]
 ) -> WindowPoint:
-    solves = 1 / (interval * (network.dt or 1.0)) if interval else 0.0
-    size = L * pair_bytes(network)
-    affordable = solves <= budget.get("solves", np.inf) * (1 + 1e-12) and size <= budget.get("bytes", np.inf)
-    return WindowPoint(L, interval, solves, size, node_trace, False, affordable)
+    rates, size = solve_rates(network, intervals), int(windows.max()) * pair_bytes(network)
+    affordable = rates.max() <= budget.get("solves", np.inf) * (1 + 1e-12) and size <= budget.get("bytes", np.inf)
+    return WindowPoint(windows, intervals, float(rates.mean()), size, node_trace, False, bool(affordable))
 
 
 def _on_front(point: WindowPoint, others: Iterable[WindowPoint]) -> bool:
@@ -143,22 +158,6 @@ def _on_front(point: WindowPoint, others: Iterable[WindowPoint]) -> bool:
         )
         for other in others
     )
-
-
-def _of_one_length(within: list[WindowPoint]) -> list[WindowPoint]:
-    """Algorithm 1, and one length: the shortest with which all nodes alike do about as well as with any."""
-    solving = [point for point in within if point.interval]
-    least = min((point.trace for point in solving), default=np.inf)
-    shortest = min((point.window for point in solving if point.trace <= least * (1 + _AS_GOOD)), default=1)
-    return [point for point in within if not point.interval or point.window == shortest]
-
-
-def _cheapest(within: list[WindowPoint]) -> tuple[ndarray, ndarray]:
-    """What every node takes: fewest solves first, then fewest bytes."""
-    cheap = sorted(within, key=lambda point: (point.solves, point.bytes))
-    traces = np.array([point.node_trace for point in cheap])
-    taken = (traces <= traces.min(axis=0) * (1 + _AS_GOOD)).argmax(axis=0)
-    return np.array([cheap[i].window for i in taken]), np.array([cheap[i].interval for i in taken])
 
 
 def _weights(network: CorruptedNetwork, history: WindowHistory) -> tuple[tuple[KeptPair, ...], ...]:

@@ -88,8 +88,8 @@ class Diffusion(_ReadOnly):
     """Weights W that were designed for one objective, eq. (11), and everything that is known of them.
 
     `value`, `baseline` and `bound` are in the units of the objective: no admissible W is better than `bound`. MSD is
-    under the least favourable model of the table's tolerance. NaN stands for what does not exist; `status` is that of
-    the performance under W.
+    under the least favourable model of the table's tolerance. NaN stands for what does not exist, or is not known:
+    nothing bounds the best decay rate. `status` is that of the performance under W.
     """
 
     table: ToleranceTable
@@ -100,12 +100,18 @@ class Diffusion(_ReadOnly):
     baseline: float
     """Of `baseline_rule`."""
     bound: float
+    """NaN where none is known."""
     baseline_rule: str
     node_msd: Float[ndarray, " N"]
     baseline_node_msd: Float[ndarray, " N"]
     msd_bound: float
     """MSD of the centralised robust filter: no estimator does better under its model."""
-    spectral_radius: float
+    network_radius: float
+    """Spectral radius of the block of F that the filters and W make, the largest over scenarios."""
+    least_favourable_radius: float
+    """The same of the block of the centre's error under its least favourable model, which no W changes."""
+    baseline_network_radius: float
+    """Of `baseline_rule`."""
     status: Status
     reason: str
     starts: Sequence[Start]
@@ -126,9 +132,14 @@ class Diffusion(_ReadOnly):
 
     @property
     def gap_closed(self) -> float:
-        """(baseline - value) / (baseline - bound): 0 is the rule, 1 is the bound. NaN where one does not exist."""
+        """(baseline - value) / (baseline - bound): 0 is the rule, 1 is the bound. NaN where either is missing."""
         room = self.baseline - self.bound
         return (self.baseline - self.value) / room if np.isfinite(room) and room > 0 else float("nan")
+
+    @property
+    def spectral_radius(self) -> float:
+        """Of F: of the slower of its two blocks."""
+        return float(np.maximum(self.network_radius, self.least_favourable_radius))
 
     @property
     def msd(self) -> float:

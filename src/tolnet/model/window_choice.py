@@ -19,27 +19,49 @@ NEVER = 10**9
 
 
 class WindowPoint(NamedTuple):
-    """One window length and one interval for all nodes: what it costs, and what it gives."""
+    """A window length and an interval for every node: what it costs, and what it gives."""
 
-    window: int
-    """L."""
-    interval: int
+    windows: Int[ndarray, " N"]
+    """L; 1 where a node never solves."""
+    intervals: Int[ndarray, " N"]
     """Delta; 0 is never, Algorithm 1."""
     solves: float
-    """Fusion problems per second and node (per step, where the problem does not say how long a step is)."""
+    """Fusion problems per second and node, the mean (per step, where the problem does not say how long one is)."""
     bytes: int
-    """Per link and step: the pairs that a node keeps of a neighbour, each of which is carried along every step."""
+    """Per link and step: the pairs that a node keeps of a neighbour, each of which is carried along every step; the
+    most of any node."""
     node_trace: Float[ndarray, " N"]
     """Mean of tr P_{k,i} over the second half of the horizon."""
     on_front: bool
     """Whether nothing else costs at most as much in both ways and gives less."""
     affordable: bool
-    """Whether it is within the budget."""
+    """Whether every node is within the budget."""
+
+    @property
+    def window(self) -> int:
+        """The longest of any node."""
+        return int(self.windows.max())
+
+    @property
+    def interval(self) -> int:
+        """The shortest of those nodes that solve; 0 where none does."""
+        return int(self.intervals[self.intervals > 0].min(initial=NEVER)) if self.solving else 0
+
+    @property
+    def solving(self) -> int:
+        """How many nodes ever solve."""
+        return int((self.intervals > 0).sum())
 
     @property
     def trace(self) -> float:
         """Mean over the nodes."""
         return float(self.node_trace.mean())
+
+
+def solve_rates(network: CorruptedNetwork, interval: Int[ndarray, " N"]) -> Float[ndarray, " N"]:
+    """Fusion problems per second at every node; per step, where the problem does not say how long a step is."""
+    per = np.where(interval > 0, interval, np.inf) * (network.dt or 1.0)
+    return 1 / per
 
 
 class KeptPair(NamedTuple):
@@ -57,7 +79,7 @@ class WindowChoice(_ReadOnly):
 
     network: CorruptedNetwork
     budget: Mapping[str, float]
-    """`solves` per second and node, `bytes` per link and step; what is missing is not limited."""
+    """`solves` per second at a node, `bytes` per link and step; what is missing is not limited."""
     window: Int[ndarray, " N"]
     interval: Int[ndarray, " N"]
     """0 is never: Algorithm 1."""
@@ -66,9 +88,12 @@ class WindowChoice(_ReadOnly):
     weights: tuple[tuple[KeptPair, ...], ...]
     """Of every node at the last instant at which it solved; those of Algorithm 1 where it never did."""
     front: tuple[WindowPoint, ...]
-    """Everything that was tried, Algorithm 1 first."""
+    """Everything that was tried with all nodes alike, Algorithm 1 first."""
+    mixtures: tuple[WindowPoint, ...]
+    """What was tried node by node, from the most solves to the fewest."""
     steps: int
     solves: int
+    """Fusion problems that were solved in all these steps, by all nodes together."""
     fallbacks: int
     """How many of the solves Algorithm 1 had to answer, since the weights failed a check."""
 
@@ -81,6 +106,11 @@ class WindowChoice(_ReadOnly):
     def plain(self) -> WindowPoint:
         """Algorithm 1."""
         return self.front[0]
+
+    @property
+    def rate(self) -> float:
+        """Fusion problems per second (or step), the mean over nodes."""
+        return float(solve_rates(self.network, self.interval).mean())
 
     @property
     def gain(self) -> float:
@@ -102,5 +132,5 @@ class WindowChoice(_ReadOnly):
         return "DRKF-SWF" if self.interval[i] else "DRKF"
 
     def __repr__(self) -> str:
-        lengths, every = np.unique(self.window), np.unique(self.interval)
+        lengths, every = np.unique(self.window[self.interval > 0]), np.unique(self.interval)
         return f"<WindowChoice: L in {lengths.tolist()}, every {every.tolist()} steps, trace {self.trace:.6g}>"

@@ -27,7 +27,10 @@ _ROWS = 12
 def diffusion_document(
     found: Diffusion, rivals: Sequence[Rival] = (), links: Sequence[AddedLink] = ()
 ) -> dict[str, Any]:
-    """The document `tolnet.diffusion/1`. `value`, `baseline` and `bound` are in the units of the objective."""
+    """The document `tolnet.diffusion/1`. `value`, `baseline` and `bound` are in the units of the objective.
+
+    `bound` and `gap_closed` are null where no bound is known.
+    """
     own = found.W.tocoo()
     document: dict[str, Any] = {
         **_heading(found),
@@ -66,6 +69,7 @@ def _heading(found: Diffusion) -> dict[str, Any]:
         "bound": found.bound,
         "gap_closed": found.gap_closed,
         "spectral_radius": found.spectral_radius,
+        "blocks": {"network": found.network_radius, "least_favourable": found.least_favourable_radius},
         "msd": found.msd,
         "msd_db": decibels(found.msd),
         "baseline_msd": found.baseline_msd,
@@ -176,6 +180,9 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
         f" objective: {found.objective}{asked}"
     )
     yield _values(found)
+    yield "radii: network, of the block of F that W changes; least favourable, of the centre's, which it does not"
+    if found.certificate is not None:
+        yield "decay: certified rate of the network block; how much better another W may be is not known"
     if np.isfinite(found.value) and not np.isfinite(found.baseline):
         yield f"with {found.baseline_rule} weights the network is unstable: there is no gap to close"
     if found.elsewhere:
@@ -191,7 +198,7 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
     yield f"{how}, {found.evaluations:,} evaluations{settled}{tail}"
     if found.certificate is not None:
         yield (
-            f"certificate candidate: errors decay like {found.certificate.rate:.6f}^t,"
+            f"certificate candidate: errors decay like {found.certificate.rate:.6f}^t (network block),"
             f" margin {found.certificate.margin:.3g}"
         )
 
@@ -199,24 +206,23 @@ def diffusion_view(found: Diffusion) -> Iterator[RenderableType]:
 def _values(found: Diffusion) -> Table:
     in_db = found.objective in ("msd", "worst", "robust")
     apart = not np.isclose(found.value, found.msd, rtol=1e-12)  # the objective is another number than the mean MSD
-    head = [found.objective, *([f"{found.objective} {_HELD}"] if in_db else []), "gap closed"]
-    head += [*(["MSD [dB]"] if apart else []), "rho(F)"]
+    bounded = np.isfinite(found.bound)
+    head = [found.objective, *([f"{found.objective} {_HELD}"] if in_db else []), *(["gap closed"] if bounded else [])]
+    head += [*(["MSD [dB]"] if apart else []), "radius: network", "least favourable"]
     table = empty_table(["weights", *head], words=("weights",))
+    before, fixed, nan = found.baseline_network_radius, found.least_favourable_radius, float("nan")
+    designed = "optimised" + (" with gains" if found.gains is not None else "")
     rows = [
-        (found.baseline_rule, found.baseline, 0.0 * found.baseline, found.baseline_msd, float("nan")),
-        (
-            "optimised" + (" with gains" if found.gains is not None else ""),
-            found.value,
-            found.gap_closed,
-            found.msd,
-            found.spectral_radius,
-        ),
-        ("bound", found.bound, 1.0, found.msd_bound, float("nan")),
+        (found.baseline_rule, found.baseline, 0.0 * found.baseline, found.baseline_msd, before),
+        (designed, found.value, found.gap_closed, found.msd, found.network_radius),
+        *([("bound", found.bound, 1.0, found.msd_bound, nan)] if bounded else []),
     ]
     for name, value, closed, msd, radius in rows:
         cells = [number(value, ".6g"), *([number(decibels(value), ".4f")] if in_db else [])]
-        cells += [number(closed, ".1%"), *([number(decibels(msd), ".4f")] if apart else []), number(radius, ".6f")]
-        table.add_row(name, *cells, style="bold" if name.startswith("optimised") else None)
+        cells += [number(closed, ".1%")] if bounded else []
+        cells += [*([number(decibels(msd), ".4f")] if apart else []), number(radius, ".6f")]
+        cells += [number(nan if name == "bound" else fixed, ".6f")]
+        table.add_row(name, *cells, style="bold" if name == designed else None)
     return table
 
 
@@ -256,7 +262,8 @@ def _moved(found: Diffusion) -> Table | None:
 
 def compare_view(rivals: Sequence[Rival]) -> Table:
     """All rules and all objectives side by side."""
-    heads = ["weights", "MSD [dB]", "gap closed", "worst node", "rho(F)", "certified rate", "|W - 11'/N|", "status"]
+    heads = ["weights", "MSD [dB]", "gap closed", "worst node", "rho(F)", "certified rate (network block)"]
+    heads += ["|W - 11'/N|", "status"]
     table = empty_table(heads, words=("weights", "status"))
     for rival in rivals:
         table.add_row(

@@ -117,6 +117,7 @@ def _draw_nodes(axes: Axes, found: Diffusion) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     axes.set_axisbelow(True)
-    closed = f", gap closed {found.gap_closed:.0%}" if np.isfinite(found.gap_closed) else ""
+    told = found.objective in ("msd", "worst", "robust") and np.isfinite(found.gap_closed)  # else of another number
+    closed = f", gap closed {found.gap_closed:.0%}" if told else ""
     axes.set_title(f"mean square deviation of every node{closed}", color=INK, fontsize=12)
     axes.figure.legend(loc="outside lower right", ncols=3, frameon=False, labelcolor=INK)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
 
 from tolnet.design.export import csv_lines, markdown_table, opening
 from tolnet.model import Status
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 MOST_ROWS = 30
-"""Nodes that people are shown one by one."""
+"""Nodes, and points node by node, that people are shown one by one."""
+_NAMED_UP_TO = 4
 
 
 def window_document(choice: WindowChoice) -> dict[str, Any]:
@@ -37,18 +40,24 @@ def window_document(choice: WindowChoice) -> dict[str, Any]:
             }
             for i in range(network.N)
         ],
-        "front": [
-            {
-                "window": point.window,
-                "interval": point.interval or None,
-                "solves": point.solves,
-                "bytes": point.bytes,
-                "trace": point.trace,
-                "on_front": point.on_front,
-                "affordable": point.affordable,
-            }
-            for point in choice.front
-        ],
+        "front": [_point(point, alike=True) for point in choice.front]
+        + [_point(point, alike=False) for point in choice.mixtures],
+    }
+
+
+def _point(point: WindowPoint, *, alike: bool) -> dict[str, Any]:
+    """The longest window and the shortest interval of any node; those of each where they differ."""
+    return {
+        "window": point.window,
+        "interval": point.interval or None,
+        "windows": None if alike else point.windows.tolist(),
+        "intervals": None if alike else [interval or None for interval in point.intervals.tolist()],
+        "solving": point.solving,
+        "solves": point.solves,
+        "bytes": point.bytes,
+        "trace": point.trace,
+        "on_front": point.on_front,
+        "affordable": point.affordable,
     }
 
 
@@ -70,8 +79,8 @@ def window_markdown(choice: WindowChoice) -> Iterator[str]:
     yield "\n"
     yield from markdown_table(names, rows, ("name", "method"))
     yield "\n"
-    shown = _front(choice.front)
-    yield from markdown_table(list(shown), zip(*shown.values(), strict=True), ("",))
+    shown = _front(choice, _telling(choice))
+    yield from markdown_table(list(shown), zip(*shown.values(), strict=True), ("nodes", ""))
 
 
 def window_view(choice: WindowChoice) -> Iterator[RenderableType]:
@@ -79,8 +88,9 @@ def window_view(choice: WindowChoice) -> Iterator[RenderableType]:
     network = choice.network
     limits = ", ".join(f"{key} <= {value:g}" for key, value in choice.budget.items()) or "no budget"
     yield f"{network.name or 'unnamed problem'}: {network.N:,} nodes over corrupted channels, {limits}"
-    table = empty_table(shown := _front(choice.front), ("",))
-    for point, *cells in zip(choice.front, *shown.values(), strict=True):
+    points = _telling(choice)
+    table = empty_table(shown := _front(choice, points), ("nodes", ""))
+    for point, *cells in zip(points, *shown.values(), strict=True):
         table.add_row(*cells, style=None if point.affordable else "dim")
     yield table
     for L, interval in sorted({*zip(choice.window.tolist(), choice.interval.tolist(), strict=True)}):
@@ -91,6 +101,10 @@ def window_view(choice: WindowChoice) -> Iterator[RenderableType]:
     yield (
         f"mean tr P {choice.trace:.5g}, {100 * choice.gain:.1f} % below Algorithm 1's {choice.plain.trace:.5g}"
         f" (second half of {choice.steps:,} steps)"
+    )
+    yield (
+        f"{choice.solves:,} fusion problem{'' if choice.solves == 1 else 's'} in {choice.steps:,} steps,"
+        f" {choice.rate:.4g} a {'step' if network.dt is None else 'second'} and node on average"
     )
     own = np.mean([sum(pair.weight for pair in choice.weights[i] if pair.sender == i) for i in range(network.N)])
     yield f"weight on a node's own pairs at the end: {100 * own:.0f} % on average"
@@ -115,6 +129,7 @@ def _heading(choice: WindowChoice) -> dict[str, Any]:
         "algorithm_1": choice.plain.trace,
         "gain": choice.gain,
         "solves": choice.solves,
+        "solve_rate": choice.rate,
         "fallbacks": choice.fallbacks,
     }
 
@@ -138,12 +153,35 @@ def _node_rows(choice: WindowChoice) -> tuple[list[str], list[tuple[Any, ...]]]:
     return names, rows
 
 
-def _front(front: tuple[WindowPoint, ...]) -> Mapping[str, list[str]]:
+def _telling(choice: WindowChoice) -> list[WindowPoint]:
+    """All nodes alike, and what is on the front of what was tried node by node; of too many evenly some."""
+    mixed = [point for point in choice.mixtures if point.on_front]
+    if len(mixed) > MOST_ROWS:
+        mixed = [mixed[i] for i in np.linspace(0, len(mixed) - 1, MOST_ROWS).round().astype(int).tolist()]
+    return [*choice.front, *mixed]
+
+
+def _front(choice: WindowChoice, points: Sequence[WindowPoint]) -> Mapping[str, list[str]]:
     return {
-        "L": [str(point.window) if point.interval else "-" for point in front],
-        "every": [f"{point.interval}" if point.interval else "never" for point in front],
-        "solves": [f"{point.solves:.4g}" for point in front],
-        "bytes": [f"{point.bytes:,}" for point in front],
-        "mean tr P": [f"{point.trace:.5g}" for point in front],
-        "": ["front" if point.on_front else "" for point in front],
+        "L": [_numbers(point.windows[point.intervals > 0]) or "-" for point in points],
+        "every": [_numbers(point.intervals[point.intervals > 0]) or "never" for point in points],
+        "nodes": [_who(choice, point) for point in points],
+        "solves": [f"{point.solves:.4g}" for point in points],
+        "bytes": [f"{point.bytes:,}" for point in points],
+        "mean tr P": [f"{point.trace:.5g}" for point in points],
+        "": ["front" if point.on_front else "" for point in points],
     }
+
+
+def _numbers(values: Int[ndarray, " k"]) -> str:
+    return ", ".join(map(str, np.unique(values).tolist()))
+
+
+def _who(choice: WindowChoice, point: WindowPoint) -> str:
+    """The nodes that solve, by name where they are few."""
+    network = choice.network
+    if point.solving in (0, network.N):
+        return "all" if point.solving else "none"
+    if point.solving > _NAMED_UP_TO:
+        return f"{point.solving:,} of {network.N:,}"
+    return ", ".join(network.label(int(i)) for i in np.flatnonzero(point.intervals))

@@ -18,8 +18,8 @@ _NAMED_UP_TO = 60
 
 
 def window_figure(choice: WindowChoice) -> Figure:
-    """Left: mean tr P over solves, one line a window length, filled where nothing cheaper is as good; a star is what
-    was chosen. Right: tr P of every node under Algorithm 1 and as chosen.
+    """Left: mean tr P over solves, with all nodes alike one line a window length, node by node crosses; filled, or
+    bold, where nothing cheaper is as good; a star is what was chosen. Right: tr P of every node, before and after.
     """
     from matplotlib.figure import Figure
 
@@ -44,17 +44,26 @@ def _draw_front(axes: Axes, choice: WindowChoice) -> None:
         axes.plot(x, y, color=colour, linewidth=5.0 / (1 + lengths.index(L)), label=label)
         faces = [colour if p.on_front else "white" for p in points]
         axes.scatter(x, y, c=faces, edgecolors=colour, s=42, zorder=3)
+    _draw_mixtures(axes, choice)
     axes.axhline(choice.plain.trace, color=INK, linewidth=1.0, linestyle="--", label="Algorithm 1")
-    every = choice.interval * (choice.network.dt or 1.0)
-    solves = np.where(choice.interval > 0, 1 / np.maximum(every, 1e-300), 0.0).mean()
-    axes.scatter([solves], [choice.trace], marker="*", s=190, color="#d64545", zorder=4, label="chosen, node by node")
+    chosen = [choice.rate], [choice.trace]
+    axes.scatter(*chosen, marker="*", s=190, color="#d64545", zorder=4, label="chosen, node by node")
     costs = sorted({p.solves for p in choice.front if p.interval})
-    axes.set_xscale("symlog", linthresh=max(costs[0], 1e-12))
+    least = min([p.solves for p in choice.mixtures if p.solving], default=costs[0])
+    axes.set_xscale("symlog", linthresh=max(min(costs[0], least), 1e-12))
     axes.set_xticks(costs, [f"{cost:.3g}" for cost in costs])
     axes.minorticks_off()
     axes.legend(frameon=False, labelcolor=INK)
     per = "step" if choice.network.dt is None else "second"
     _dress(axes, "trace against cost (filled: on the front)", f"solves per {per} and node", "mean tr P")
+
+
+def _draw_mixtures(axes: Axes, choice: WindowChoice) -> None:
+    """What was tried node by node."""
+    for on_front, alpha, label in ((False, 0.35, None), (True, 1.0, "node by node, on the front")):
+        points = [p for p in choice.mixtures if p.on_front == on_front]
+        x, y = [p.solves for p in points], [p.trace for p in points]
+        axes.scatter(x, y, marker="x", s=26, linewidths=1.2, color=INK, alpha=alpha, zorder=3, label=label)
 
 
 def _draw_nodes(axes: Axes, choice: WindowChoice) -> None:

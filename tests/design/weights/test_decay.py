@@ -9,8 +9,11 @@ from numpy import ndarray
 
 from tolnet import analysis, design, model
 from tolnet.analysis.curvature import columns_of
-from tolnet.design.weights.decay import SecondMoments, certify, margin_of
+from tolnet.design.weights.admissible import Admissible
+from tolnet.design.weights.decay import LEAST_RATE, certify, design_decay, margin_of
+from tolnet.design.weights.decay_polish import exchange, polish
 from tolnet.design.weights.decay_programs import CertificateProgram
+from tolnet.design.weights.second_moments import SecondMoments
 from tolnet.design.weights.setting import local_loops
 from tolnet.model import SensorNetwork, Status, ToleranceTable
 from tolnet.model.examples import projectile
@@ -80,21 +83,102 @@ def test_the_shipped_counter_examples(name: str):
         assert not found.baseline < 1 if objective == "decay" else np.isnan(found.baseline)
 
 
-def test_the_certificate_is_better_than_any_start_and_no_better_than_its_bound():
-    network = projectile()
-    table = design.choose_tolerances(network, 0.02)
+def test_the_certificate_is_better_than_any_start_and_no_bound_is_told():
+    network = model.example("unstable-ring")
+    assert isinstance(network, SensorNetwork)
+    table = design.choose_tolerances(network)
     found = design.optimise_diffusion(network, table, "decay")
     assert found.certificate is not None
     assert found.value < min(start.value for start in found.starts)
     assert (np.diff(found.history) <= 1e-12).all()
-    assert found.bound <= found.value
-    assert found.bound == pytest.approx(found.value, rel=1e-4)
+    assert np.isnan(found.bound)
+    assert np.isnan(found.gap_closed)
     M, W = local_loops(table), found.W.toarray()
     assert found.certificate.margin > 0
     assert naive_margin(found.certificate.X, M, W, found.value) > 0
     assert naive_margin(found.certificate.X, M, W, 0.99 * found.value) < 0  # the mutant
-    radius = np.abs(np.linalg.eigvals(np.kron(W.T, np.eye(6)) @ _diagonal(M))).max()
+    radius = np.abs(np.linalg.eigvals(np.kron(W.T, np.eye(network.n)) @ _diagonal(M))).max()
     assert radius <= found.value
+    assert found.network_radius == pytest.approx(radius, rel=1e-9)
+    assert found.spectral_radius == max(found.network_radius, found.least_favourable_radius)
+    alternated = design_decay(
+        Admissible.of(columns_of(network.adjacency), design.Constraints()),
+        M,
+        _rules(network, table),
+        _silent,
+        thorough=False,
+    )
+    assert found.value < alternated.certificate.rate
+
+
+def _rules(network: SensorNetwork, table: ToleranceTable) -> dict[str, ndarray]:
+    columns = columns_of(network.adjacency)
+    weights = {rule: design.diffusion_matrix(network, rule, table) for rule in ("uniform", "relative-variance")}
+    return {rule: np.asarray(W[columns.sender, columns.hearer]).ravel() for rule, W in weights.items()}
+
+
+def _silent(what: str, value: float) -> None:
+    """Nobody watches."""
+
+
+def test_several_searches_find_what_one_certificate_seemed_to_exclude():
+    """With the X of the best that alternation finds no W is better than 0.7310; with another X one is, by far."""
+    network = model.example("unstable-metropolis")
+    assert isinstance(network, SensorNetwork)
+    table = design.choose_tolerances(network)
+    M = local_loops(table)
+    among = Admissible.of(columns_of(network.adjacency), design.Constraints())
+    alternated = design_decay(among, M, _rules(network, table), _silent, thorough=False)
+    found = design.optimise_diffusion(network, table, "decay")
+    assert found.certificate is not None
+    assert found.value < 0.5655 < 0.73 < alternated.certificate.rate
+    assert naive_margin(found.certificate.X, M, found.W.toarray(), found.value) > 0
+    searched = [start.found for start in found.starts if np.isfinite(start.found)]
+    assert len(searched) > 5
+    assert min(searched) == pytest.approx(found.value, rel=1e-4)
+    assert max(searched) > 1.3 * min(searched)  # why there are several
+
+
+@pytest.mark.parametrize("n", [2, 6])
+def test_the_slope_of_the_radius_is_that_of_central_differences(n: int):
+    """By dense equations for n = 2, by Arnoldi's method for n = 6."""
+    columns = columns_of(projectile().adjacency)
+    moments = SecondMoments(columns, np.random.default_rng(1).normal(size=(20, n, n)) / 3)
+    w = 1.0 / columns.degree[columns.hearer]
+    there = moments.perron(w)
+    assert there is not None
+    v = columns.centred(np.random.default_rng(0).normal(size=len(w)))
+    h = 1e-5
+    numerical = (moments.radius(w + h * v) - moments.radius(w - h * v)) / (2 * h)
+    assert there.radius == pytest.approx(moments.radius(w), rel=1e-8)
+    assert moments.slope(there) @ v == pytest.approx(numerical, rel=1e-4)
+    assert abs(numerical) > 1e-2
+
+
+def test_polishing_and_exchanges_stay_admissible_and_never_lose():
+    network, table = unstable_weightings(UNSTABLE_SEEDS[0])
+    columns = columns_of(network.adjacency)
+    among = Admissible.of(columns, design.Constraints(own_weight=0.2))
+    moments = SecondMoments(columns, local_loops(table))
+    start = among.project(_rules(network, table)["uniform"])
+    for search in (polish, exchange):
+        end = search(moments, among, start)
+        assert end.radius < moments.radius(start)
+        assert end.radius == moments.radius(end.w)
+        assert (end.w >= 0).all()
+        assert (end.w[columns.own] >= 0.2 - 1e-15).all()
+        np.testing.assert_allclose(columns.sums(end.w), 1, atol=1e-14)
+        again = search(moments, among, end.w)
+        assert again.radius <= end.radius
+
+
+@pytest.mark.parametrize("A", [np.zeros((2, 2)), np.array([[0.0, 1.0], [0.0, 0.0]])])
+def test_errors_that_die_out_in_a_few_steps_have_a_certificate_too(A: ndarray):
+    network = SensorNetwork(A=A, B=np.eye(2), C=[np.eye(2)] * 3, R=[np.eye(2)] * 3, edges=[[0, 1], [1, 2]])
+    found = design.optimise_diffusion(network, design.choose_tolerances(network, 0.01), "decay")
+    assert found.certificate is not None
+    assert found.value == LEAST_RATE
+    assert found.certificate.margin > 0
 
 
 def test_an_interrupt_asks_no_solver_any_more(monkeypatch: pytest.MonkeyPatch):
@@ -102,7 +186,7 @@ def test_an_interrupt_asks_no_solver_any_more(monkeypatch: pytest.MonkeyPatch):
     network, table = unstable_weightings(UNSTABLE_SEEDS[0])
 
     def stop(*_: object) -> None:
-        monkeypatch.setattr("tolnet.design.weights.decay.solve_program", forbidden)
+        monkeypatch.setattr("tolnet.design.weights.decay_programs.solve_program", forbidden)
         raise KeyboardInterrupt
 
     def forbidden(problem: object) -> bool:
@@ -111,7 +195,7 @@ def test_an_interrupt_asks_no_solver_any_more(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("tolnet.design.weights.decay_programs.solve_program", stop)
     found = design.optimise_diffusion(network, table, "decay")
     assert found.interrupted
-    assert (found.bound, found.value) == (0, pytest.approx(min(start.value for start in found.starts), rel=1e-4))
+    assert found.value == pytest.approx(min(start.value for start in found.starts), rel=1e-4)
     assert found.certificate is not None
     assert naive_margin(found.certificate.X, local_loops(table), found.W.toarray(), found.value) > 0
 
@@ -124,7 +208,9 @@ def _diagonal(M: ndarray) -> ndarray:
 
 
 def test_the_x_step_solves_its_semidefinite_program():
-    network, table = unstable_weightings(UNSTABLE_SEEDS[0])
+    network = model.example("random", 4, 1)
+    assert isinstance(network, SensorNetwork)
+    table = design.choose_tolerances(network, 0.02)
     columns, M = columns_of(network.adjacency), local_loops(table)
     moments = SecondMoments(columns, M)
     alone = (columns.sender == columns.hearer) * 0.9 + 0.1 / columns.degree[columns.hearer]
@@ -142,7 +228,7 @@ def test_the_x_step_solves_its_semidefinite_program():
     for k in range(N):
         np.testing.assert_allclose(X[k], np.asarray(variables[k].value), rtol=1e-4, atol=1e-4 * np.abs(X[k]).max())
     built = CertificateProgram(columns, M)
-    for room in (1.1, 1.2):  # the program is built once
+    for room in (1.2, 1.3):  # the program is built once
         s = room * moments.radius(w)
         steps = built.least(w, s)
         assert steps is not None

@@ -8,11 +8,17 @@ from functools import cached_property
 import numpy as np
 
 from tolnet.analysis import Detectability, Mode, detectability
+from tolnet.design.smaller_tolerance import at_little_tolerance
 from tolnet.model import Status, SteadyState, ToleranceTable
 
 NAMED_AT_MOST = 10
 _MODES_AT_MOST = 3
 _STATES_AT_MOST = 4
+
+
+def _ended(filter: SteadyState) -> str:
+    """What ended the search, in brackets, where that is known."""
+    return f" ({filter.reason})" if str(filter.reason) else ""
 
 
 class Reasons:
@@ -59,14 +65,23 @@ class Reasons:
             case Status.OSCILLATES:
                 return (
                     "a steady state exists, but the filter never settles on it (attraction"
-                    f" {float(filter.attraction):.4g} is not below 1); a smaller tolerance settles"
+                    f" {float(filter.attraction):.4g} is not below 1){self._way_out(k, 'settles')}"
                 )
             case Status.DIVERGES:
-                return "the covariance grows without bound at this tolerance; a smaller one may have an answer"
+                return f"the covariance grows without bound at this tolerance{self._way_out(k, 'has an answer')}"
             case _ if filter.tolerance == 0:
-                return "a Kalman filter exists, but rounding leaves less than six digits of it: change the units"
+                return f"no Kalman filter was found{_ended(filter)}"
             case _:
-                return "none was found at this tolerance; a smaller one may have an answer"
+                return f"none was found at this tolerance{_ended(filter)}{self._way_out(k, 'has an answer')}"
+
+    def _way_out(self, k: int | None, helped: str) -> str:
+        """Whether a smaller tolerance helps: at hardly any, this filter was tried."""
+        little = self._at_little.central if k is None else self._at_little.local[k]
+        return f"; a smaller one {helped}" if little.settles else f", nor at {little.tolerance:.3g} (gamma scale)"
+
+    @cached_property
+    def _at_little(self) -> ToleranceTable:
+        return at_little_tolerance(self._table, uniform=self._table.tau != 0)
 
     def _heard(self, k: int) -> str:
         heard = self._table.network.neighbours(k).tolist()

@@ -12,9 +12,9 @@ from tolnet.analysis import error_dynamics, least_favourable_model, solve_lyapun
 from tolnet.analysis.curvature import columns_of
 from tolnet.design.diffusion import diffusion_matrix
 from tolnet.design.weights.admissible import Constraints
-from tolnet.design.weights.decay import SecondMoments
 from tolnet.design.weights.mixing import distance_from_average, is_connected
 from tolnet.design.weights.optimise import optimise_diffusion
+from tolnet.design.weights.second_moments import SecondMoments
 from tolnet.design.weights.setting import local_loops
 from tolnet.model import DIFFUSION_RULES, SensorNetwork, ToleranceTable, UnsupportedError
 

@@ -1,31 +1,36 @@
-"""The best certified decay rate: weights and a certificate, each improved while the other stands still.
+"""The best certified decay rate: several searches, and a certificate for the best of what they lead to.
 
     T_W(X)_k = sigma_k sum_l w_lk M_l X_l M_l',  sigma_k = sum_l w_lk = 1: X_k >= T_W(X)_k / r^2 for some X > 0 proves
     that errors decay like r^t; the best r^2 is the spectral radius of T_W
 
-    X step  fixed W: the least X with X - T_W(X) / s >= I, for s a little above the spectral radius. A semidefinite
-            program whose solution is known: X = sum_j T_W^j(I) / s^j, a linear equation
-    W step  fixed X: for each node apart, min sum_l w_lk tr(Y_k M_l X_l M_l')  subject to  sum_l w_lk M_l X_l M_l' <=
-            s X_k, with Y = sum_j T_W*^j(I) / s^j. The constraint keeps the certificate; the objective is the
-            derivative of the spectral radius
+    alternate  from the best start. X step, fixed W: the least X with X - T_W(X) / s >= I, for s a little above the
+               spectral radius, a semidefinite program whose solution is known: X = sum_j T_W^j(I) / s^j, a linear
+               equation. W step, fixed X: for each node apart, min sum_l w_lk tr(Y_k M_l X_l M_l')  subject to
+               sum_l w_lk M_l X_l M_l' <= s X_k, with Y = sum_j T_W*^j(I) / s^j. The constraint keeps the certificate;
+               the objective is the derivative of the spectral radius
+    polish     from there and from other starts: down the slope of the spectral radius
+    exchange   the columns of the best, node by node, and polish again
 
-Source: docs/mathematics.md, section 12.3; docs/decisions/0022-decay.md.
+The least spectral radius is no convex problem, and these are local searches: nothing bounds how far they are from the
+best W. (The dual of a W step bounds the rate for its X alone; other X do better.)
+Source: docs/mathematics.md, section 12.3; docs/decisions/0022-decay.md and 0025-decay-search.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.analysis.curvature import Columns
 from tolnet.design.weights.admissible import Admissible, make_admissible
+from tolnet.design.weights.decay_polish import exchange, polish
 from tolnet.design.weights.decay_programs import CertificateProgram, ColumnPrograms
-from tolnet.design.weights.programs import solve_program
+from tolnet.design.weights.second_moments import SecondMoments
 from tolnet.model import DecayCertificate
 
 _SLACK = (0.01, 0.003, 0.001)
@@ -35,8 +40,17 @@ _GAIN = 3e-5
 """A round that lowers the spectral radius by less, relatively, is the last with its slack."""
 MARGIN = 1e-4
 """How far r^2 of the certificate is above the spectral radius, relatively: room for rounding."""
-_DENSE_UP_TO = 200
+LEAST_RATE = 1e-3
+"""No smaller rate is claimed: errors that die out in a few steps (T_W nilpotent) leave nothing to search for, and the
+X of ever smaller rates grow beyond what rounding leaves definite."""
 _FEASIBLE = 1e-7
+_SEARCHES = ((150, 100, 8), (500, 4, 2), (1500, 2, 0))
+"""Up to so many unknowns in X, polish from so many of the best starts, and from so many random ones; else not."""
+_EXCHANGE_UP_TO = 500
+RANDOM = "random"
+"""How the names of random starts begin."""
+
+Watch = Callable[[str, float], None]
 
 
 class DecayDesign(NamedTuple):
@@ -44,118 +58,27 @@ class DecayDesign(NamedTuple):
 
     W: sparse.csr_array
     certificate: DecayCertificate
-    bound: float
-    """No W has a better rate with these X_k; by the dual of the W step. 0 after Ctrl-C."""
     before: float
     """The rate before the last step made W exactly admissible."""
     starts: dict[str, float]
+    ends: dict[str, float]
+    """Where the searches from some of the starts ended."""
     best_start: str
     history: list[float]
+    evaluations: int
     interrupted: bool
-
-
-class SecondMoments:
-    """T_W and its adjoint: diagonal blocks of the errors' second moments, bounded by Cauchy-Schwarz."""
-
-    def __init__(self, columns: Columns, loops: Float[ndarray, "N n n"]) -> None:
-        self.columns, self.M = columns, loops
-        self.shape = loops.shape
-        self.size = loops.size
-
-    def weighing(self, w: Float[ndarray, " L"]) -> sparse.csr_array:
-        """sigma_k w_lk as a matrix, node k's row holding what it weighs."""
-        sums = self.columns.sums(np.abs(w))
-        N = self.columns.nodes
-        scaled = np.abs(w) * sums[self.columns.hearer]
-        return sparse.csr_array((scaled, (self.columns.hearer, self.columns.sender)), shape=(N, N))
-
-    def apply(self, weighing: sparse.csr_array, X: Float[ndarray, "N n n"]) -> Float[ndarray, "N n n"]:
-        """T_W(X)."""
-        moved = self.M @ X @ self.M.mT
-        return (weighing @ moved.reshape(len(X), -1)).reshape(self.shape)
-
-    def adjoint(self, weighing: sparse.csr_array, Y: Float[ndarray, "N n n"]) -> Float[ndarray, "N n n"]:
-        """T_W*(Y)_l = M_l' (sum_k sigma_k w_lk Y_k) M_l."""
-        gathered = (weighing.T @ Y.reshape(len(Y), -1)).reshape(self.shape)
-        return self.M.mT @ gathered @ self.M
-
-    def radius(self, w: Float[ndarray, " L"]) -> float:
-        """The spectral radius of T_W: r^2 of the best certificate with these weights."""
-        from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
-
-        weighing = self.weighing(w)
-        if self.size <= _DENSE_UP_TO:
-            return float(np.abs(np.linalg.eigvals(self._dense(weighing))).max())
-        kind: Any = LinearOperator
-        solve: Any = eigs
-        operator = kind(
-            shape=(self.size, self.size),
-            matvec=lambda x: self.apply(weighing, x.reshape(self.shape)).ravel(),
-            dtype=np.float64,
-        )
-        start = np.tile(np.eye(self.shape[1]), (self.shape[0], 1, 1)).ravel()
-        try:
-            found = solve(operator, k=1, v0=start, ncv=30, maxiter=300, tol=1e-9, return_eigenvectors=False)
-        except ArpackNoConvergence:
-            return self._by_powers(weighing)
-        return float(np.abs(found).max())
-
-    def resolvent(self, w: Float[ndarray, " L"], s: float, *, adjoint: bool = False) -> Float[ndarray, "N n n"]:
-        """X = sum_j T^j(I) / s^j, the least X with X - T(X) / s >= I; for s above the spectral radius.
-
-        NaN where floating point finds none, as at the radius 0.
-        """
-        from scipy.sparse.linalg import LinearOperator, gmres
-
-        weighing, one = self.weighing(w), np.broadcast_to(np.eye(self.shape[1]), self.shape)
-        apply = self.adjoint if adjoint else self.apply
-        if not s > 0:
-            return np.full(self.shape, np.nan)
-        if self.size <= _DENSE_UP_TO:
-            T = self._dense(weighing)
-            try:
-                X = np.linalg.solve(np.eye(self.size) - (T.T if adjoint else T) / s, one.ravel())
-            except np.linalg.LinAlgError:
-                return np.full(self.shape, np.nan)
-        else:
-            kind: Any = LinearOperator
-            operator = kind(
-                shape=(self.size, self.size),
-                matvec=lambda x: x - apply(weighing, x.reshape(self.shape)).ravel() / s,
-                dtype=np.float64,
-            )
-            X, _ = gmres(operator, one.ravel(), rtol=1e-9, restart=80, maxiter=40)
-        X = X.reshape(self.shape)
-        return (X + X.mT) / 2  # rounding only
-
-    def _dense(self, weighing: sparse.csr_array) -> Float[ndarray, "d d"]:
-        N, n, _ = self.shape
-        pairs = np.einsum("lij,lpq->lipjq", self.M, self.M).reshape(N, n * n, n * n)
-        full = weighing.toarray()[:, None, :, None] * pairs.transpose(1, 0, 2)[None]
-        return full.reshape(N * n * n, N * n * n)
-
-    def _by_powers(self, weighing: sparse.csr_array) -> float:
-        X = np.tile(np.eye(self.shape[1]), (self.shape[0], 1, 1))
-        grown = np.inf
-        for _ in range(2000):
-            following = self.apply(weighing, X)
-            size = float(np.linalg.norm(following))
-            grown = size / float(np.linalg.norm(X))
-            if not size > 0:
-                break
-            X = following / size
-        return grown
 
 
 def design_decay(
     among: Admissible,
     loops: Float[ndarray, "N n n"],
     starts: dict[str, Float[ndarray, " L"]],
-    watch: Callable[[str, float], None],
+    watch: Watch,
     *,
     sdp: bool = False,
+    thorough: bool = True,
 ) -> DecayDesign:
-    """The best certified decay rate by alternating X and W steps, from the start with the best rate.
+    """The best certified decay rate that is found from some starts; without `thorough` by alternation alone.
 
     W = I is always among the starts, whose rate is the largest spectral radius of the local loops: below 1 where
     every local filter is stable. The certificate is recomputed for the W that is returned. With `sdp` the X and Y of
@@ -165,44 +88,127 @@ def design_decay(
     moments = SecondMoments(columns, loops)
     alone = np.zeros(len(columns.sender))
     alone[columns.own] = 1.0
-    begin = {name: among.project(w) for name, w in {**starts, "none": alone}.items()}
-    radii: dict[str, float] = {}
-    best_start, w, radius = "none", alone, np.inf
-    history: list[float] = []
-    interrupted = False
-    programs = ColumnPrograms(loops.shape[1])
-    certificates = CertificateProgram(columns, loops) if sdp else None
+    best_of, drawn = next(((most, drawn) for size, most, drawn in _SEARCHES if moments.unknowns <= size), (0, 0))
+    begin = {**starts, "none": alone}
+    if thorough:
+        begin |= _random(among, drawn)
+    found = _Search(moments, among, alone, watch)
     try:
-        for name, start in begin.items():
-            radii[name] = moments.radius(start)
-            if radii[name] < radius:
-                best_start, w, radius = name, start, radii[name]
-        history.append(float(np.sqrt(radius)))
-        for slack in _SLACK:
-            for _ in range(_ROUNDS):
-                before = radius
-                w, radius = _round(moments, among, programs, certificates, w, radius, slack)
-                history.append(float(np.sqrt(radius)))
-                watch(f"from {best_start}", history[-1])
-                if radius > (1 - _GAIN) * before:
-                    break
+        for name, w in begin.items():
+            found.start(name, among.project(w))
+        if found.radius > LEAST_RATE**2:
+            _alternate(found, CertificateProgram(columns, loops) if sdp else None)
+            if thorough and best_of:
+                _polish(found, best_of)
     except KeyboardInterrupt:
-        if not radii:
+        if not found.radii:
             raise
-        interrupted = True
-    W = make_admissible(among, w)
-    final = np.asarray(W[columns.sender, columns.hearer]).ravel()
-    certificate = certify(moments, final)
-    bound = 0.0 if interrupted else rate_bound(moments, among, certificate)  # CVXPY may be half imported then
-    rates = {name: float(np.sqrt(value)) for name, value in radii.items()}
+        found.interrupted = True
+    W = make_admissible(among, found.w)
+    certificate = certify(moments, np.asarray(W[columns.sender, columns.hearer]).ravel())
     return DecayDesign(
-        W, certificate, bound, float(np.sqrt(radius * (1 + MARGIN))), rates, best_start, history, interrupted
+        W,
+        certificate,
+        float(np.sqrt(max(found.radius * (1 + MARGIN), LEAST_RATE**2))),
+        {name: float(np.sqrt(radius)) for name, radius in found.radii.items()},
+        {name: float(np.sqrt(radius)) for name, radius in found.ends.items()},
+        found.best_start,
+        found.history,
+        found.evaluations,
+        found.interrupted,
     )
+
+
+@dataclass(eq=False)
+class _Search:
+    """The best so far, and on the way to it."""
+
+    moments: SecondMoments
+    among: Admissible
+    w: Float[ndarray, " L"]
+    watch: Watch
+    radius: float = np.inf
+    best_start: str = "none"
+    begin: dict[str, Float[ndarray, " L"]] = field(default_factory=dict)
+    radii: dict[str, float] = field(default_factory=dict)
+    ends: dict[str, float] = field(default_factory=dict)
+    history: list[float] = field(default_factory=list)
+    evaluations: int = 0
+    interrupted: bool = False
+
+    def start(self, name: str, w: Float[ndarray, " L"]) -> None:
+        """One more start."""
+        self.begin[name], self.radii[name] = w, self.moments.radius(w)
+        self.evaluations += 1
+        self.offer(name, w, self.radii[name])
+
+    def offer(self, name: str, w: Float[ndarray, " L"], radius: float) -> None:
+        """Keep w where it is better than the best."""
+        if radius < self.radius:
+            self.w, self.radius, self.best_start = w, radius, name
+        self.tell(name, self.radius)
+
+    def tell(self, name: str, radius: float) -> None:
+        """Say how far a search has come."""
+        reached = float(np.sqrt(min(radius, self.radius)))
+        self.history.append(min([reached, *self.history[-1:]]))
+        self.watch(f"from {name}", self.history[-1])
+
+
+def _random(among: Admissible, drawn: int) -> dict[str, Float[ndarray, " L"]]:
+    """Random weights, always the same ones, near the corners of their simplices more often than uniform ones are."""
+    columns = among.columns
+    squares = np.random.default_rng(0).exponential(size=(drawn, len(columns.sender))) ** 2
+    return {f"{RANDOM}-{i + 1}": w / columns.sums(w)[columns.hearer] for i, w in enumerate(squares)}
+
+
+def _alternate(found: _Search, certificates: CertificateProgram | None) -> None:
+    """X and W steps from the best start, with ever less slack."""
+    name, programs = found.best_start, ColumnPrograms(found.moments.shape[1])
+    for slack in _SLACK:
+        for _ in range(_ROUNDS):
+            before = found.radius
+            w, radius = _round(found.moments, found.among, programs, certificates, found.w, before, slack)
+            found.evaluations += 1
+            found.offer(name, w, radius)
+            if radius > (1 - _GAIN) * before:
+                break
+    found.ends[name] = found.radius
+
+
+def _polish(found: _Search, best_of: int) -> None:
+    """Down the slope from where the alternation ended, from the best starts and from random ones; then exchanges."""
+    moments, among = found.moments, found.among
+    for name, w in [(found.best_start, found.w), *_chosen(found, best_of)]:
+        end = polish(moments, among, w, lambda radius, name=name: found.tell(name, radius))
+        found.evaluations += end.evaluations
+        found.ends[name] = min(found.ends.get(name, np.inf), end.radius)
+        found.offer(name, end.w, end.radius)
+    name = found.best_start
+    if moments.unknowns > _EXCHANGE_UP_TO:
+        return
+    swapped = exchange(moments, among, found.w, lambda radius: found.tell(name, radius))
+    end = polish(moments, among, swapped.w, lambda radius: found.tell(name, radius))
+    found.evaluations += swapped.evaluations + end.evaluations
+    for each in (swapped, end):
+        found.offer(name, each.w, each.radius)
+    found.ends[name] = found.radius
+
+
+def _chosen(found: _Search, best_of: int) -> Iterator[tuple[str, Float[ndarray, " L"]]]:
+    """The best starts, each different one once, and all random ones."""
+    known = [name for name in sorted(found.begin, key=found.radii.__getitem__) if not name.startswith(RANDOM)]
+    seen: set[bytes] = set()
+    for name in known:
+        if len(seen) < best_of and found.begin[name].tobytes() not in seen:
+            seen.add(found.begin[name].tobytes())
+            yield name, found.begin[name]
+    yield from ((name, w) for name, w in found.begin.items() if name.startswith(RANDOM))
 
 
 def certify(moments: SecondMoments, w: Float[ndarray, " L"]) -> DecayCertificate:
     """X_k for fixed weights with r^2 a little above the spectral radius, and its margin, recomputed."""
-    s = moments.radius(w) * (1 + MARGIN)
+    s = max(moments.radius(w) * (1 + MARGIN), LEAST_RATE**2)
     X = moments.resolvent(w, s)
     return DecayCertificate(X, float(np.sqrt(s)), moments.M, margin_of(moments, w, X, s))
 
@@ -217,44 +223,6 @@ def margin_of(moments: SecondMoments, w: Float[ndarray, " L"], X: Float[ndarray,
     root = U / np.sqrt(eigenvalues)[:, None, :]
     seen = root.mT @ moments.apply(moments.weighing(w), X) @ root / s
     return float(1 - np.linalg.eigvalsh((seen + seen.mT) / 2).max())
-
-
-def rate_bound(moments: SecondMoments, among: Admissible, certificate: DecayCertificate) -> float:
-    """A rate that no admissible W beats with these X_k: at every node, max over Lambda of min_l tr(Lambda P_l).
-
-    Lambda >= 0 with trace 1; the largest eigenvalue of any sum_l w_l P_l, P_l = X_k^-1/2 M_l X_l M_l' X_k^-1/2, is at
-    least the least tr(Lambda P_l). Any Lambda gives a bound; this one comes from the solver, the bound is recomputed.
-    """
-    import cvxpy as cp
-
-    n = moments.shape[1]
-    worst = 0.0
-    programs: dict[int, Any] = {}
-    for k in range(moments.columns.nodes):
-        P = _seen_from(moments, certificate.X, k)
-        if P is None:
-            continue  # the bound of the other nodes stays one
-        d = len(P)
-        if d not in programs:
-            Lambda, t = cp.Variable((n, n), PSD=True), cp.Variable()
-            matrices = [cp.Parameter((n, n), symmetric=True) for _ in range(d)]
-            rows: list[Any] = [cp.trace(Lambda @ matrix) >= t for matrix in matrices]
-            limits: list[Any] = [*rows, cp.trace(Lambda) == 1]
-            programs[d] = cp.Problem(cp.Maximize(t), limits), Lambda, matrices
-        problem, Lambda, matrices = programs[d]
-        for matrix, value in zip(matrices, P, strict=True):
-            matrix.value = value
-        if not solve_program(problem):
-            continue
-        values, U = np.linalg.eigh((Lambda.value + Lambda.value.T) / 2)
-        dual = (U * np.maximum(values, 0.0)) @ U.T
-        dual /= np.trace(dual)
-        own = moments.columns.offsets[k] + np.arange(d)
-        prices = np.einsum("lij,ji->l", P, dual)
-        lower = among.lower[k]
-        mine = prices[moments.columns.sender[own] == k][0]
-        worst = max(worst, float(lower * mine + (1 - lower) * prices.min()))
-    return float(np.sqrt(worst))
 
 
 def _seen_from(moments: SecondMoments, X: Float[ndarray, "N n n"], k: int) -> Float[ndarray, "d n n"] | None:

@@ -20,6 +20,8 @@ LARGEST, LARGEST_SYMMETRIC = 300, 600
 """Nodes; more take minutes and gigabytes."""
 LARGEST_SDP, LARGEST_SDP_SYMMETRIC = 60, 120
 """The same for the general solver."""
+_LEAST_TOLERANCE = 1e-10
+"""What HiGHS takes at least."""
 _START = 1.1
 """The first t, relative to the norm there."""
 
@@ -67,7 +69,7 @@ def design_mixing(
     raw = np.zeros_like(mean)
     raw[among.columns.sender, among.columns.hearer] = w
     value = distance_from_average(W)
-    bound = min(max(float(bound), 0.0), value)  # both are right to the rounding of the linear program
+    bound = min(max(float(bound), 0.0), value)  # both are right to rounding
     return MixingDesign(W, value, bound, float(np.linalg.norm(raw - mean, 2)))
 
 
@@ -212,7 +214,12 @@ def _least(among: Admissible, Z: Float[ndarray, "N N"]) -> float:
 
 
 def _least_symmetric(among: Admissible, Z: Float[ndarray, "N N"]) -> float:
-    """min <Z, W> over the symmetric admissible W, a linear program in the weights of the links."""
+    """A bound on min <Z, W> over the symmetric admissible W, a linear program in the weights u >= 0 of the links.
+
+        min cost'u, ends u <= room  >=  -room'y  for every y >= 0 with cost + ends'y >= 0
+
+    y comes from the solver and is raised until it satisfies this to rounding: the bound does not rest on the solver.
+    """
     from scipy.optimize import linprog
 
     first, second = _edges(among.columns)
@@ -222,5 +229,14 @@ def _least_symmetric(among: Admissible, Z: Float[ndarray, "N N"]) -> float:
         (np.ones(2 * len(first)), (np.concatenate([first, second]), np.concatenate([each, each]))),
         shape=(len(Z), len(first)),
     )
-    found = linprog(cost, A_ub=ends, b_ub=1 - among.lower, bounds=(0, None), method="highs")
-    return float(np.trace(Z) + found.fun) if found.success else -np.inf
+    options = {"dual_feasibility_tolerance": _LEAST_TOLERANCE}
+    found = linprog(cost, A_ub=ends, b_ub=1 - among.lower, bounds=(0, None), method="highs", options=options)
+    if not found.success:
+        return -np.inf
+    y = np.maximum(-found.ineqlin.marginals, 0.0)
+    lacking = np.maximum(-cost - y[first] - y[second], 0.0) / 2
+    raised = np.zeros_like(y)
+    np.maximum.at(raised, first, lacking)
+    np.maximum.at(raised, second, lacking)
+    y += raised
+    return float(np.trace(Z) - (1 - among.lower) @ y)

@@ -44,15 +44,14 @@ def tell_msd(
         own = error_dynamics(at.network, at.table.local, at.baseline, at.model)
         gains = pack_gains(at.network, own, errors, z)
         node_msd, residual = each[first].node_msd, max(solved.residual for solved in each)
-        own_radius = max(solved.radius for solved in each)
-        radius = max(own_radius, *(there.least_favourable_radius for there in before))
+        radius = max(solved.radius for solved in each)
         value = criterion(np.array([solved.node_msd for solved in each]))
         status, reason = errors.status, errors.reason
     else:
         z = links_of(W, columns)
         after = [at.performance(W, each) for each in tables]
         value = criterion(np.array([each.node_msd for each in after]))
-        node_msd, radius = after[first].node_msd, max(each.spectral_radius for each in after)
+        node_msd, radius = after[first].node_msd, max(each.network_radius for each in after)
         residual = max(each.residual for each in after)
         bad = next((each for each in after if each.status != Status.OK), after[0])
         status, reason = bad.status, bad.reason
@@ -68,7 +67,9 @@ def tell_msd(
         node_msd=node_msd,
         baseline_node_msd=before[first].node_msd,
         msd_bound=at.bound,
-        spectral_radius=radius,
+        network_radius=radius,
+        least_favourable_radius=max(each.least_favourable_radius for each in before),
+        baseline_network_radius=max(each.network_radius for each in before),
         status=status,
         reason=reason,
         starts=tuple(found.starts),
@@ -130,7 +131,9 @@ def tell_other(
         node_msd=after.node_msd,
         baseline_node_msd=before.node_msd,
         msd_bound=at.bound,
-        spectral_radius=after.spectral_radius,
+        network_radius=after.network_radius,
+        least_favourable_radius=after.least_favourable_radius,
+        baseline_network_radius=before.network_radius,
         status=after.status,
         reason=after.reason,
         starts=tuple(starts),
@@ -163,7 +166,9 @@ def without_performance(at: Setting, objective: str, status: Status, reason: str
         node_msd=nothing,
         baseline_node_msd=nothing,
         msd_bound=at.bound,
-        spectral_radius=nan,
+        network_radius=nan,
+        least_favourable_radius=nan,
+        baseline_network_radius=nan,
         status=status,
         reason=reason,
         starts=(),

@@ -40,7 +40,7 @@ def by_mixing(at: Setting, sdp: bool, watch: Watch) -> Diffusion:
 
 
 def _best_rule(at: Setting) -> tuple[str, MixingDesign]:
-    """The rule that mixes fastest once it is made admissible, without a bound."""
+    """The rule that mixes fastest once it is made admissible; no bound is known of it."""
     symmetric = at.constraints.symmetric
     rules = {
         name: make_admissible(at.among, at.among.project(w), symmetric=symmetric)
@@ -48,27 +48,36 @@ def _best_rule(at: Setting) -> tuple[str, MixingDesign]:
     }
     values = {name: distance_from_average(W) for name, W in rules.items()}
     name = min(values, key=lambda name: values[name])
-    return name, MixingDesign(rules[name], values[name], 0.0, values[name])
+    return name, MixingDesign(rules[name], values[name], float("nan"), values[name])
 
 
 def by_decay(at: Setting, sdp: bool, watch: Watch) -> Diffusion:
-    """The best certified decay rate, told with its certificate and with what the weights do to the errors."""
+    """The best certified decay rate that is found, with its certificate and with what the weights do to the errors.
+
+    No bound: the searches are local, and what bounds the rate of one certificate bounds no other's.
+    """
     table = at.table
     if not table.local.exists.all():
         k = int(np.argmin(table.local.exists))
         reason = f"the filter of node {at.network.label(k)} has no steady state ({table.local.status[k]})"
         return without_performance(at, "decay", Status(str(table.local.status[k])), reason)
     design = design_decay(at.among, local_loops(table), rule_weights(at), watch, sdp=sdp)
-    rates = [Start(name, rate, float("nan")) for name, rate in design.starts.items()]
+    rates = [Start(name, rate, design.ends.get(name, float("nan"))) for name, rate in design.starts.items()]
     told = tell_other(
         at,
         "decay",
         design.W,
         design.certificate.rate,
         design.starts[at.rule],
-        design.bound,
+        float("nan"),
         design.certificate.rate / design.before - 1 if design.before > 0 else 0.0,
         rates,
         design.history,
     )
-    return replace(told, certificate=design.certificate, best_start=design.best_start, interrupted=design.interrupted)
+    return replace(
+        told,
+        certificate=design.certificate,
+        best_start=design.best_start,
+        evaluations=design.evaluations,
+        interrupted=design.interrupted,
+    )

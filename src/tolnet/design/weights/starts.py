@@ -63,7 +63,7 @@ def _add_designs(at: Setting, objective: MsdObjective, starts: Starts, watch: Wa
     values = {name: objective.exact(among.project(w)) for name, w in rules.items()}
     best = min(values, key=lambda name: values[name])
     watch("starts: certified decay", values[best])
-    decay = design_decay(among, local_loops(at.table), rules, _silent)
+    decay = design_decay(among, local_loops(at.table), rules, _silent, thorough=False)
     starts["decay"] = links_of(decay.W, columns)
     if decay.interrupted:
         raise KeyboardInterrupt
