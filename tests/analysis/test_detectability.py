@@ -72,9 +72,9 @@ def assert_true_of(A: ndarray, C: ndarray) -> None:
     assert hides(A, C, CIRCLE) == bool(hidden_modes(A, C, CIRCLE)) == on_circle
     for mode in modes:
         x = mode.direction
-        # Of rational eigenvalues every entry is rounded, and the sums here are of n + 1 products. Others come from singular vectors in doubles:
-        # two chains of length two that are 2^-10 apart leave a second singular value of about 2^-20, hence 2^-53+20
-        # times the couplings.
+        # Of rational eigenvalues every entry is rounded, and the sums here are of n + 1 products. Others come from
+        # singular vectors in doubles: two chains of length two that are 2^-10 apart leave a second singular value
+        # of about 2^-20, hence 2^-33 times the couplings.
         u = (len(A) + 2) * np.finfo(float).eps
         allowed = u * (np.abs(A) @ np.abs(x)), u * (np.abs(C) @ np.abs(x))
         if mode.eigenvalue.imag:
