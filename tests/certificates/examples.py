@@ -28,7 +28,7 @@ def certificates() -> dict[str, Document]:
     calm = maker.random_data(np.random.default_rng(3), 2, ring, radius=0.2)
     calm_one_way = maker.random_data(np.random.default_rng(6), 2, one_way, directed=True, radius=0.2)
     restless = maker.random_data(rng, 2, ring, radius=1.05)
-    restless["weights"] = [text(5 * np.array([float.fromhex(w) for w in row.split()])) for row in restless["weights"]]
+    restless["A"] = text([5 * float.fromhex(x) for x in restless["A"].split()])
     tilted = maker.random_data(np.random.default_rng(5), 2, path, radius=1.2, columns=2, tilt=6.0)
     found = {
         f"{method} {block}": document(network, maker.stability_claim(network, method, block=block))

@@ -15,7 +15,15 @@ from typing import Any
 import pytest
 from tests.certificates.alterations import branches, get, put
 from tests.certificates.examples import certificate, certificates
-from tests.reference.certificates import document, scalar_data, stability_claim, text
+from tests.reference.certificates import (
+    document,
+    said_performance,
+    said_stable,
+    said_switching,
+    scalar_data,
+    stability_claim,
+    text,
+)
 
 from tolnet.certificates import check as checker
 from tolnet.certificates.check import Refused, check, load, main
@@ -180,7 +188,7 @@ def test_too_many_sets_of_links_are_not_checked(monkeypatch: pytest.MonkeyPatch)
     data = {**scalar_data(0.1), "nodes": nodes, "C": [""] * nodes, "noise": [{}] * nodes, "gains": [""] * nodes}
     data["neighbours"] = [list(range(nodes))] + [[0, k] for k in range(1, nodes)]
     data["weights"] = [text([1 / len(heard)] * len(heard)) for heard in data["neighbours"]]
-    said = "The network block of the error dynamics stays stable however links drop and return, at most 30 at once."
+    said = said_switching({"drop": 30})
     claim = {"claim": "switching", "verdict": "proved", "statement": said, "margin": 0.0, "reason": None, "drop": 30}
     started = time.monotonic()
     finding = check(document(data, claim | {"proof": {"Y": [text([1.0])] * nodes}}))[0]
@@ -191,13 +199,14 @@ def test_too_many_sets_of_links_are_not_checked(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("zero", [False, True])
 def test_too_many_steps_are_not_checked(monkeypatch: pytest.MonkeyPatch, zero: bool) -> None:
-    """A power of 10^15, of weights that are zero as well."""
+    """A power of 10^15, of links that weigh nothing as well."""
     monkeypatch.setattr(checker, "LONGEST", 1)
     monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     found = certificate("power network")
     found["claims"][0]["proof"]["power"] = 10**15
     if zero:
-        found["data"]["weights"] = [text([0.0] * len(heard)) for heard in found["data"]["neighbours"]]
+        heard = found["data"]["neighbours"]
+        found["data"]["weights"] = [text([float(l == k) for l in each]) for k, each in enumerate(heard)]
     assert check(found)[0].result == "not checked here"
 
 
@@ -214,8 +223,12 @@ def test_many_scenarios_are_not_checked_for_ever(monkeypatch: pytest.MonkeyPatch
 
 
 def test_every_claim_counts_against_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = certificate("primal network")
-    found["claims"] *= 10**4
+    found = certificate("rate primal")
+    claim = found["claims"][0]
+    rates = [float.fromhex(claim["rate"]) + 2.0**-40 * i for i in range(10**4)]  # of each, something else is claimed
+    found["claims"] = [
+        {**claim, "rate": rate.hex(), "statement": said_stable(claim["block"], rate)} for rate in rates
+    ]
     monkeypatch.setattr(checker, "LONGEST", 1)
     monkeypatch.setattr(checker.Clock, "end", checker.Clock.end)  # put back afterwards
     results = [finding.result for finding in check(found)]
@@ -245,10 +258,7 @@ def test_a_wide_tilt_takes_little_memory() -> None:
     columns = 20_000
     gain = {"gain": [""], "tilt": " ".join([(2.0**-9).hex()] * columns), "columns": columns}
     data, wide = {**scalar_data(0.5), "centre": gain}, text([-9.0, 9.0])
-    said = (
-        "Under the stated least favourable model the mean square deviation of the network lies in "
-        f"[{-9.0!r}, {9.0!r}], and that of every node in its interval."
-    )
+    said = said_performance(-9.0, 9.0)
     claim = {"claim": "performance", "verdict": "proved", "statement": said, "margin": None, "reason": None}
     claim |= {"nodes": [wide], "centre": wide, "network": wide}
     proof = {"Q": text([1.0, 1.0, 1.5]), "Y": [text([2.0]), text([100.0])], "delta": text([0.125])}

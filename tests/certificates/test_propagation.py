@@ -246,7 +246,7 @@ def relays(B: float, weights: list[list[float]] | None = None, **process: Any) -
 def test_noise_near_the_end_of_doubles_is_no_proof(B: float, monkeypatch: pytest.MonkeyPatch):
     """Weights that cancel make much of the rounding; squares of it must not be lost."""
     followed_only(monkeypatch)
-    W = [[1e8 + 0.1, -1e8 + 0.7], [0.3e8, -0.3e8 + 1.1]]
+    W = [[1e8 + 0.1328125, -1e8 + 0.8671875], [0.3e8 + 0.6796875, -0.3e8 + 0.3203125]]
     deployed = relays(B, W)
     verdict = prove_performance(ExactNetwork(deployed), None, np.full((2, 1, 1), 2.0), np.full((1, 1), 2.0))
     assert isinstance(verdict, Proved) is (B > 1e-50)

@@ -48,7 +48,7 @@ def largest(image: ndarray, X: ndarray) -> float:
 
 
 def decay(rate: float, block: str, proof: Document) -> Document:
-    said = f"Every eigenvalue of {BLOCKS[block]} lies inside the circle of radius {rate!r}."
+    said = maker.said_stable(block, rate)
     claim = {"claim": "decay-rate", "block": block, "verdict": "proved", "statement": said, "margin": 0.25}
     return {**claim, "reason": None, "rate": rate.hex(), "proof": proof}
 
@@ -122,12 +122,8 @@ def test_the_centre_alone_decides_where_it_is_the_slowest() -> None:
 
 
 def switching(margin: float, Y: list[ndarray], **keys: Any) -> Document:
-    said = f"links drop and return, at most {keys['drop']} at once" if "drop" in keys else ""
-    if "scenarios" in keys:
-        said = f"the nominal network and {len(keys['scenarios'])} scenarios alternate"
     claim = {"claim": "switching", "verdict": "proved", "margin": margin, "reason": None, **keys}
-    statement = f"The network block of the error dynamics stays stable however {said}."
-    return {**claim, "statement": statement, "proof": {"Y": [triangle(y) for y in Y]}}
+    return {**claim, "statement": maker.said_switching(keys), "proof": {"Y": [triangle(y) for y in Y]}}
 
 
 def without(at: Numbers, W: ndarray, G: list[dict[int, ndarray]], links: Any) -> tuple[ndarray, list[ndarray]]:
@@ -209,7 +205,7 @@ def test_a_node_with_a_negative_weight_loses_no_link() -> None:
 
 
 def refuted(method: str, **witness: Any) -> Document:
-    said = "Some eigenvalue of the network block of the error dynamics lies outside the unit circle: errors grow."
+    said = maker.said_unstable()
     claim = {"claim": "schur-stability", "block": "network", "verdict": "refuted", "statement": said}
     return {**claim, "margin": None, "reason": None, "witness": {"of": "network", "method": method, **witness}}
 
@@ -251,10 +247,7 @@ def msd(proof: Document, Y: list[ndarray], delta: float, **intervals: list[float
     nodes = len(Y) - 1
     wide = [-1e9, 1e9]
     low, high = intervals.get("network", wide)
-    said = (
-        "Under the stated least favourable model the mean square deviation of the network lies in "
-        f"[{low!r}, {high!r}], and that of every node in its interval."
-    )
+    said = maker.said_performance(low, high)
     claim = {"claim": "performance", "verdict": "proved", "statement": said, "margin": None, "reason": None}
     own = {
         "nodes": [text(intervals.get("nodes", wide))] * nodes,

@@ -171,10 +171,12 @@ def test_a_model_that_was_not_compared_is_not_said_to_be(tolnet: Tolnet, small: 
     """Performance at another tolerance: nothing in the certificate ties its model to the problem."""
     path = tmp_path / "c.json"
     assert tolnet("certify", small, "-c", "0.0001", "--claims", "performance", "-o", path).code == 0
-    ran = tolnet("check", path, "--problem", small, "--json")
-    assert ran.code == 3
-    found = {row["claim"]: row["result"] for row in ran.document["findings"]}
-    assert found["least favourable model"] == "not checked here"
+    for own, label in (([], "not checked here"), (["-c", "0.0001"], "valid")):
+        ran = tolnet("check", path, "--problem", small, *own, "--json")
+        assert ran.code == 3
+        found = {row["claim"]: row["result"] for row in ran.document["findings"]}
+        assert found["least favourable model"] == "not checked here"
+        assert found["label"] == label
     assert "claims" not in found
 
 

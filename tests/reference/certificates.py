@@ -243,7 +243,42 @@ class Numbers:
         return F, U @ noise @ U.T, [F[k * n : (k + 1) * n, N * n :] for k in range(N)]
 
 
-BLOCKS = {"F": "the network's error dynamics F", "network": "the network block of the error dynamics"}
+BLOCKS = {
+    "F": "the network's error dynamics F under the stated least favourable model",
+    "network": "the network block of the error dynamics",
+}
+
+
+def said_stable(block: str, rate: float | None = None) -> str:
+    """The statement of a proved `schur-stability`, or of `decay-rate`."""
+    where = "unit circle: errors die out." if rate is None else f"circle of radius {rate!r}."
+    return f"With the stated weights and constant gains, every eigenvalue of {BLOCKS[block]} lies inside the {where}"
+
+
+def said_unstable(which: str = "network") -> str:
+    """Of a refuted `schur-stability`."""
+    return (
+        f"With the stated weights and constant gains, some eigenvalue of the {which} block of the error dynamics "
+        "lies outside the unit circle: errors grow."
+    )
+
+
+def said_switching(claim: Document) -> str:
+    """Of `switching`, by its keys."""
+    if "drop" in claim:
+        how = f"links drop and return, at most {claim['drop']} at once, each losing estimate and measurement together"
+    else:
+        alternate = f"the nominal network and {len(claim['scenarios'])} scenarios alternate"
+        how = f"{alternate} (a link that drops loses both estimate and measurement)"
+    return f"With constant gains in each state, the network block of the error dynamics stays stable however {how}."
+
+
+def said_performance(low: float, high: float) -> str:
+    """Of `performance`."""
+    return (
+        "With the stated weights and constant gains, under the stated least favourable model, the steady mean square "
+        f"deviation of the network lies in [{low!r}, {high!r}], and that of every node in its interval."
+    )
 
 
 def _claim(name: str, statement: str, margin: float | None, **own: Any) -> Document:
@@ -304,9 +339,8 @@ def stability_claim(
         slack = min(slack, _slack([X], [at.Fe @ X @ at.Fe.T / r**2]))
     margin = float(share_of_slack * slack)
     if rate is None:
-        sentence = f"Every eigenvalue of {BLOCKS[block]} lies inside the unit circle: errors die out."
-        return _claim("schur-stability", sentence, margin, block=block, proof=proof)
-    sentence = f"Every eigenvalue of {BLOCKS[block]} lies inside the circle of radius {float(rate)!r}."
+        return _claim("schur-stability", said_stable(block), margin, block=block, proof=proof)
+    sentence = said_stable(block, float(rate))
     return _claim("decay-rate", sentence, margin, block=block, rate=float(rate).hex(), proof=proof)
 
 
@@ -337,8 +371,7 @@ def instability_claim(data: Document, method: str, *, of: str = "network", block
     return {
         "claim": "schur-stability",
         "verdict": "refuted",
-        "statement": f"Some eigenvalue of the {name} block of the error dynamics lies outside the unit circle: "
-        "errors grow.",
+        "statement": said_unstable(name),
         "margin": None,
         "reason": None,
         "block": block,
@@ -351,14 +384,8 @@ def switching_claim(
 ) -> Document:
     """A proved `switching`; Y is the dual candidate of the nominal network, so loops must contract well."""
     Y = stability_claim(data, "dual")["proof"]["Y"]
-    if drop is not None:
-        how, own = f"links drop and return, at most {drop} at once", {"drop": drop}
-    else:
-        scenarios = scenarios or []
-        how = f"the nominal network and {len(scenarios)} scenarios alternate"
-        own = {"scenarios": scenarios}
-    sentence = f"The network block of the error dynamics stays stable however {how}."
-    return _claim("switching", sentence, margin, **own, proof={"Y": Y})
+    own: Document = {"scenarios": scenarios or []} if drop is None else {"drop": drop}
+    return _claim("switching", said_switching(own), margin, **own, proof={"Y": Y})
 
 
 def performance_claim(data: Document) -> Document:
@@ -384,10 +411,6 @@ def performance_claim(data: Document) -> Document:
     intervals = [(trace - error, trace + error) for trace in traces]
     low, high = (float(x) for x in np.mean(intervals[:N], axis=0))
     low, high = float(low * (1 - 1e-15)), float(high * (1 + 1e-15))
-    sentence = (
-        "Under the stated least favourable model the mean square deviation of the network lies in "
-        f"[{low!r}, {high!r}], and that of every node in its interval."
-    )
     proof = {
         "Q": triangle(Q),
         "Y": [triangle(y) for y in Y],
@@ -395,7 +418,7 @@ def performance_claim(data: Document) -> Document:
     }
     return _claim(
         "performance",
-        sentence,
+        said_performance(low, high),
         None,
         nodes=[text(pair) for pair in intervals[:N]],
         centre=text(intervals[N]),

@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from tolnet.certificates.clock import check_clock
+
 if TYPE_CHECKING:
     from flint import arb as Ball
     from flint import arb_mat as BallMatrix
@@ -171,6 +173,7 @@ def _cholesky_succeeds(M: BallMatrix) -> bool:
     n = M.nrows()
     rows = M.tolist()
     for k in range(n):
+        check_clock()
         if not rows[k][k] > 0:
             return False
         for i in range(k + 1, n):

@@ -220,6 +220,21 @@ def _pull(row: dict[int, Fraction]) -> dict[int, Fraction]:
     return {l: sigma * abs(w) for l, w in row.items()}
 
 
+def unmixed(weights: Weights, where: str) -> str | None:
+    """Which column of W does not sum to one, as far as the rounding of its weights lets it; None where all do.
+
+    Errors obey F only then: whatever a column lacks of one, or has too much, multiplies the state itself. A column of
+    m weights w >= 0, divided by its sum in doubles, sums to one within m 2^-52: one ulp a weight, of which division
+    and sum take half. Weights that all are numbers of single precision were rounded once more, by 2^-24 together.
+    """
+    single = all(w.numerator.bit_length() <= 24 for row in weights.values() for w in row.values())
+    for k, row in weights.items():
+        total = sum(row.values(), Fraction(0))
+        if abs(total - 1) > Fraction(len(row) + single * 2**28, 2**52):
+            return f"{where}[{k}]: the weights sum to {float(total)!r} instead of one, so that F is no error dynamics"
+    return None
+
+
 def watched(label: str, count: int) -> Iterator[int]:
     """range(count), with a line now and then for people at a terminal."""
     for i in range(count):
@@ -247,6 +262,7 @@ class Deployment:
         self.R = [_covariance(thing, f"data.noise[{k}]", self.p[k], "R", "D") for k, thing in noise]
         self.weights = self.read_weights(data["weights"], "data.weights")
         self.gains = self.read_gains(data["gains"], "data.gains")
+        self.unmixed = unmixed(self.weights, "data.weights")
         self.pull = {k: _pull(row) for k, row in self.weights.items()}
         self.loop = cache(lambda k: self.closed_loop(self.gains[k]))
         self.stated = None  # the centre's gains by sensor, and a factor of T
@@ -361,7 +377,10 @@ def _definite(at: Deployment, proof: dict[str, Any], name: str) -> list[Matrix]:
 
 def stable(claim: dict[str, Any], at: Deployment) -> str:
     """`schur-stability` and `decay-rate`, proved."""
-    names = {"F": "the network's error dynamics F", "network": "the network block of the error dynamics"}
+    names = {
+        "F": "the network's error dynamics F under the stated least favourable model",
+        "network": "the network block of the error dynamics",
+    }
     keys = {"primal": ("X",), "dual": ("Y",), "power": ("X", "power", "shares"), "full": ("X",)}
     block, kept = _one_of(names, claim, "block"), 1 - _margin(claim)
     rate = _positive(claim, "rate") if "rate" in claim else Fraction(1)
@@ -382,7 +401,7 @@ def stable(claim: dict[str, Any], at: Deployment) -> str:
     if block == "F":
         full(at.centre[-1], _symmetric(proof["centre"], at.n, "proof.centre"), s, "proof.centre")
     where = f"circle of radius {float(rate)!r}." if "rate" in claim else "unit circle: errors die out."
-    return f"Every eigenvalue of {names[block]} lies inside the {where}"
+    return f"With the stated weights and constant gains, every eigenvalue of {names[block]} lies inside the {where}"
 
 
 def unstable(claim: dict[str, Any], at: Deployment) -> str:
@@ -399,7 +418,8 @@ def unstable(claim: dict[str, Any], at: Deployment) -> str:
     _require(v.by(X).by(v).rows[0][0] > 0, "v' X v is not positive")
     _require_definite(_congruence(block.T, X) - X, "the Lyapunov difference of the witness")
     which = f"the {names[of]} block of the error dynamics"
-    return f"Some eigenvalue of {which} lies outside the unit circle: errors grow."
+    how = "With the stated weights and constant gains, some eigenvalue of"
+    return f"{how} {which} lies outside the unit circle: errors grow."
 
 
 # -------------------- Switching -------------------------------------------------------------------------------
@@ -417,14 +437,15 @@ def switching(claim: dict[str, Any], at: Deployment) -> str:
             for gone in (gone for i in range(min(most, len(others))) for gone in combinations(others, i + 1)):
                 pull, loop = _without(at, [(j, l) for j in gone], f"node {l}")
                 dual(at, pull, loop, Y, s, [l], f" without links to {gone}")
-        how = f"links drop and return, at most {most} at once"
+        how = f"links drop and return, at most {most} at once, each losing estimate and measurement together"
     else:
         scenarios = _list(claim["scenarios"], None, "scenarios")
         for i, scenario in enumerate(scenarios):
             pull, loop, nodes = _changed(at, scenario, f"scenarios[{i}]")
             dual(at, pull, loop, Y, s, nodes, f" in scenarios[{i}]")
-        how = f"the nominal network and {len(scenarios)} scenarios alternate"
-    return f"The network block of the error dynamics stays stable however {how}."
+        how = f"the nominal network and {len(scenarios)} scenarios alternate (a link that drops loses both"
+        how += " estimate and measurement)"
+    return f"With constant gains in each state, the network block of the error dynamics stays stable however {how}."
 
 
 def _without(at: Deployment, links: Iterable[Sequence[int]], where: str) -> tuple[Weights, Loop]:
@@ -454,6 +475,8 @@ def _changed(at: Deployment, scenario: Any, where: str) -> tuple[Weights, Loop, 
             _require(all(ends), f"{where}.drop: expected pairs of nodes")
         return *_without(at, links, where), sorted({end for link in links for end in link})
     weights = at.read_weights(given["weights"], f"{where}.weights") if "weights" in given else None
+    if complaint := unmixed(weights or {}, f"{where}.weights"):
+        raise Wrong(complaint)
     pull = at.pull if weights is None else {k: _pull(row) for k, row in weights.items()}
     gains = at.read_gains(given["gains"], f"{where}.gains") if "gains" in given else None
     loop = at.loop if gains is None else cache(lambda k: at.closed_loop(gains[k]))
@@ -510,8 +533,8 @@ def performance(claim: dict[str, Any], at: Deployment) -> str:
         _contains(interval, _trace(Q, own), error, f"nodes[{k}]" if k < N else "centre")
     low, high = _contains(claim["network"], _trace(Q, range(N * n)) / N, error / N, "network")
     return (
-        "Under the stated least favourable model the mean square deviation of the network lies in "
-        f"[{low!r}, {high!r}], and that of every node in its interval."
+        "With the stated weights and constant gains, under the stated least favourable model, the steady mean square "
+        f"deviation of the network lies in [{low!r}, {high!r}], and that of every node in its interval."
     )
 
 
@@ -662,8 +685,8 @@ COMMON = ("claim", "verdict", "statement", "margin", "reason")
 EVIDENCE = {"proved": "proof", "refuted": "witness"}
 
 
-def examine(claim: Any, at: Deployment | Channels) -> Finding:
-    """What is to be said of one claim."""
+def examine(claim: Any, at: Deployment | Channels, told: set[str]) -> Finding:
+    """What is to be said of one claim, and not of one that was told before."""
     given = claim if isinstance(claim, dict) else {}
     texts = map(given.get, ("claim", "verdict", "statement", "reason", "node"))
     name, verdict, statement, reason, who = (_shown(text) if isinstance(text, str) else "" for text in texts)
@@ -674,7 +697,19 @@ def examine(claim: Any, at: Deployment | Channels) -> Finding:
         result, reason = "invalid", str(wrong)
     except Declined as declined:
         result, reason = "not checked here", str(declined)
+    if result in ("valid", "not checked here"):
+        subject = _subject(given, name, verdict, node)
+        if subject in told:
+            result, reason = "invalid", "an earlier claim speaks of the same already: it would be counted twice"
+        told.add(subject)
     return Finding(name, node, verdict, result, statement, reason)
+
+
+def _subject(claim: dict[str, Any], name: str, verdict: str, node: int | str | None) -> str:
+    """What a claim speaks of: whatever it says, it is counted once. Of a filter, or of performance, there is one."""
+    own, verify = RULES.get((name, verdict), ((), None))
+    own = () if verify is performance else (*own, "drop", "scenarios")
+    return repr((name, node, [(key, claim[key]) for key in own if key in claim] if name not in LOGARITHMIC else []))
 
 
 def _shown(text: str) -> str:
@@ -692,6 +727,8 @@ def _judge(claim: dict[str, Any], name: str, verdict: str, at: Deployment | Chan
     _require(claim["reason"] is None, "reason: expected null for a claim that is decided")
     _require((name == "observability") == isinstance(at, Channels), "the claim speaks of another kind of data")
     _require(claim["margin"] is None or verify in (stable, switching), "margin: expected null")
+    if isinstance(at, Deployment) and at.unmixed and name not in LOGARITHMIC:
+        raise Wrong(at.unmixed)
     shown = verify(claim, at)
     _require(claim["statement"] == shown, "the statement is not the one that this claim can make")
     return "valid", None
@@ -720,7 +757,8 @@ def check(
     at.rules = rules
     if names is not None:
         claims = [claim for claim in claims if isinstance(claim, dict) and claim.get("claim") in names]
-    return [examine(claim, at) for claim in claims]
+    told: set[str] = set()
+    return [examine(claim, at, told) for claim in claims]
 
 
 # -------------------- Reading ---------------------------------------------------------------------------------

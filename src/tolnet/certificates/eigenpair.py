@@ -6,7 +6,8 @@
     4.  |l| - r > 1
 
 A is sparse and B dense, so that networks of some thousand states can be refuted; every bound is raised by more than
-the rounding of its own evaluation.
+the rounding of its own evaluation: fl(x y) = x y (1 + d) + e, |d| <= 2^-53, |e| <= 2^-1075, and e is not 0 where the
+product underflows.
 """
 
 from __future__ import annotations
@@ -20,11 +21,15 @@ from scipy import sparse
 
 from tolnet.certificates import statements
 from tolnet.certificates.deployed import Deployed
+from tolnet.certificates.exact_network import unmixed_column
 from tolnet.certificates.numerals import matrix_text
 from tolnet.certificates.verdicts import Refuted, Undecided
 
 _U = np.finfo(float).eps
 _RAISED = 1 + 1e-9
+_TINY = 1e-290
+"""More than all that a sum of `MOST` products loses where they underflow, 2^-1074 each: rounding bounds that are
+relative see nothing of it. What is added to an entry before it meets |B| counts there with |B|, as it must."""
 MOST = 7000
 """Dimension up to which B, a dense complex matrix, is computed."""
 
@@ -33,6 +38,8 @@ def refute_by_eigenpair(deployed: Deployed, eigenvalue: complex, mode: ndarray) 
     """Decide whether an exact eigenvalue of the network block lies near one found outside the unit circle."""
     block = {"block": "network" if deployed.centre is None else "F"}
     statement = statements.instability("network")
+    if unmixed := unmixed_column(deployed.weights, deployed.offsets):
+        return Undecided("schur-stability", statement, unmixed, keys=block)
     if len(mode) > MOST:
         reason = f"the network has {len(mode)} states; up to {MOST} an eigenvalue is validated"
         return Undecided("schur-stability", statement, reason, keys=block)
@@ -49,6 +56,8 @@ def _normalised(mode: ndarray) -> ndarray:
 
 def validate(deployed: Deployed, eigenvalue: complex, z: ndarray) -> dict[str, Any] | str:
     """The witness of a validated eigenpair, or the reason why there is none. B is computed here and not trusted."""
+    if not (np.isfinite(z).all() and np.isfinite(eigenvalue) and np.abs(z).max() >= 1e-100):
+        return "the stated eigenvector or eigenvalue is not finite, or nearly zero"
     A, doubt = sparse_block(deployed)
     pivot, d = int(np.argmax(np.abs(z))), len(z)
     B = _approximate_inverse(A, eigenvalue, z, pivot)
@@ -58,16 +67,16 @@ def validate(deployed: Deployed, eigenvalue: complex, z: ndarray) -> dict[str, A
     size = abs(A)
     # 1. of the derivation, with the rounding of every product; the last entry of f is zero
     f = np.abs(A @ z - eigenvalue * z) + 4 * most * _U * (size @ np.abs(z) + abs(eigenvalue) * np.abs(z))
-    f = f + doubt @ np.abs(z)
+    f = f + doubt @ np.abs(z) + _TINY
     J = _bordered(A, eigenvalue, z, pivot)
     rows = np.abs(B).sum(axis=1)
     R = np.eye(d + 1) - (J.T @ B.T).T
     ones = np.ones(d + 1)
-    doubts = np.append(doubt @ ones[:d], 0.0)
-    near = np.abs(R).sum(axis=1) + np.abs(B) @ (4 * (d + 8) * _U * (abs(J) @ ones) + doubts)
+    doubts = np.append(doubt @ ones[:d], 0.0) + _TINY
+    near = np.abs(R).sum(axis=1) + np.abs(B) @ (4 * (d + 8) * _U * (abs(J) @ ones) + doubts) + _TINY
     newton, contraction, norm = (_RAISED * float(bound.max()) for bound in (np.abs(B[:, :d]) @ f, near, rows))
-    radius = float(f"{4 * newton + 1e-300:.2e}")
-    inside = newton + contraction * radius + norm * radius**2
+    radius = float(f"{4 * newton + _TINY:.2e}")
+    inside = newton + contraction * radius + norm * radius * radius
     if not _RAISED * inside < radius:
         return f"the eigenvalue {eigenvalue:.6g} that floating point found is not validated"
     if not abs(eigenvalue) - _RAISED * radius > 1 + 8 * _U:
@@ -84,8 +93,10 @@ def sparse_block(deployed: Deployed) -> tuple[sparse.csr_array, sparse.csr_array
     """The network block, and a bound on how far each entry is from the exact one."""
     M, size = deployed.loops
     outputs = int(np.diff(deployed.columns[deployed.offsets]).max(initial=0))
-    doubts = 2 * (outputs + 4) * _U * size
-    return _blocks(deployed, deployed.weights, M), _blocks(deployed, np.abs(deployed.weights), doubts)
+    doubts = 2 * (outputs + 4) * _U * size + _TINY
+    doubt = _blocks(deployed, np.abs(deployed.weights), doubts)
+    doubt.data += _TINY
+    return _blocks(deployed, deployed.weights, M), doubt
 
 
 def _blocks(deployed: Deployed, weights: Float[ndarray, " L"], M: Float[ndarray, "N n n"]) -> sparse.csr_array:

@@ -35,6 +35,11 @@ class ExactNetwork:
         return segment_sums(self.sizes, self.deployed.offsets)
 
     @cached_property
+    def unmixed(self) -> str | None:
+        """Which column of W does not sum to one; None where all do."""
+        return unmixed_column(self.deployed.weights, self.deployed.offsets)
+
+    @cached_property
     def centre_loops(self) -> tuple[Exact, Exact]:
         """F_0 = A - G C and F_e = F_0 + N T F_0. Assumes that a centre is stated."""
         deployed = self.deployed
@@ -107,6 +112,28 @@ class ExactNetwork:
         """(W' (x) I) X for X of (N, n, anything)."""
         deployed = self.deployed
         return weighted_rows(Exact.of(deployed.weights), deployed.neighbours, deployed.offsets, X)
+
+
+def unmixed_column(weights: Float[ndarray, " L"], offsets: Int[ndarray, " N1"]) -> str | None:
+    """Which column of W does not sum to one, as far as rounding lets it: F is no error dynamics then. None: all do.
+
+    A column of m weights w > 0, divided by its sum in doubles, sums to one within m 2^-52, an ulp a weight; where all
+    weights are numbers of single precision, each was rounded once more, by 2^-24 w at most. (Were the bound relative
+    to sum |w|, weights that cancel could sum to anything.)
+    Source: docs/certificate.md, `data`.
+    """
+    single = bool((np.frexp(weights)[0] * 2.0**24 % 1 == 0).all())
+    w = Exact.of(weights)
+    unit = min(w.exponent, 0)
+    w = Exact(w.ints << (w.exponent - unit), unit)
+    total = segment_sums(w, offsets)
+    ulps = segment_sums(Exact((weights != 0).astype(object) + 0, 0), offsets).ints + (single << 28)
+    one = 1 << -unit
+    off = np.flatnonzero(abs(total.ints - one) * 2**52 > ulps * one)
+    if not len(off):
+        return None
+    found = float(total[off[:1]].rounded()[0])
+    return f"the weights of node {off[0]} sum to {found!r} instead of one, so that F is no error dynamics"
 
 
 def weighted_rows(weights: Exact, of: Int[ndarray, " L"], offsets: Int[ndarray, " N1"], X: Exact) -> Exact:

@@ -164,14 +164,44 @@ _VERIFIERS: dict[tuple[str, str], Callable[[ExactFilter, dict[str, Any]], str | 
 
 
 _OPENING = {"claim", "node", "verdict", "statement", "margin", "reason", "c"}
-_KEYS: dict[tuple[str, str], set[str]] = {
-    ("steady-state", "proved"): {"gain_error", "proof"},
-    ("attraction", "proved"): {"rate", "proof"},
-    ("attraction", "refuted"): {"witness"},
-    ("tolerance", "proved"): {"interval", "proof"},
-    ("convergence", "proved"): {"start", "proof"},
-    ("convergence-all", "proved"): {"proof"},
+_REGION = {"box", "factor", "Y", "rate", "radius", "steps"}
+_KEYS: dict[tuple[str, str], tuple[set[str], str, set[str]]] = {
+    ("steady-state", "proved"): ({"gain_error"}, "proof", {"box"}),
+    ("attraction", "proved"): ({"rate"}, "proof", {"box", "Y"}),
+    ("attraction", "refuted"): (set(), "witness", {"box", "X", "v"}),
+    ("tolerance", "proved"): ({"interval"}, "proof", {"box"}),
+    ("convergence", "proved"): ({"start"}, "proof", _REGION | {"bits"}),
+    ("convergence-all", "proved"): (set(), "proof", _REGION | {"lower", "upper"}),
 }
+"""A claim's own keys, whether it has a proof or a witness, and the keys of that."""
+_WHOLE = {"steps", "bits"}
+
+
+def misshapen(claim: Mapping[str, Any]) -> str | None:
+    """What in the form of a claim about a filter is not as docs/certificate.md has it; None where nothing is.
+
+    Afterwards every value is a text, a whole number or null, but for the proof or the witness and the box in it.
+    """
+    name, verdict = claim.get("claim"), claim.get("verdict")
+    if not (isinstance(name, str) and isinstance(verdict, str) and (name, verdict) in _KEYS):
+        return "there is no such claim, or none with this verdict"
+    own, evidence, held = _KEYS[name, verdict]
+    if claim.keys() != _OPENING | own | {evidence}:
+        return "its keys are not those of such a claim"
+    given = claim[evidence]
+    if not isinstance(given, dict) or given.keys() != held:
+        return f"the keys of its {evidence} are not those of such a claim"
+    box = given["box"]
+    if not isinstance(box, dict) or box.keys() != {"P", "theta", "radius"}:
+        return "the keys of its box are not those of a box"
+    if any(type(given[key]) is not int for key in held & _WHOLE):
+        return "its numbers of steps and bits are no whole numbers"
+    texts = [*(given[key] for key in held - _WHOLE - {"box"}), *box.values(), claim["statement"]]
+    if not all(isinstance(text, str) for text in [*texts, claim["c"], *(claim[key] for key in own)]):
+        return "its numbers are not written as texts"
+    if claim["margin"] is not None or claim["reason"] is not None:
+        return "margin and reason: expected null"
+    return None
 
 
 def verify(claim: dict[str, Any], filters: ExactFilters) -> str | None:
@@ -179,15 +209,13 @@ def verify(claim: dict[str, Any], filters: ExactFilters) -> str | None:
 
     `claim` is an entry of a certificate. Whatever is malformed is a reason too.
     """
+    if (complaint := misshapen(claim)) is not None:
+        return complaint
     try:
-        if claim.keys() != _OPENING | _KEYS[claim["claim"], claim["verdict"]]:
-            return "its keys are not those of such a claim"
         node = claim["node"]
         whole = type(node) is int and 0 <= node < filters.deployed.N
         if not (whole or node == "centre"):
             return "it speaks of no node of the network"
-        if claim["margin"] is not None or claim["reason"] is not None:
-            return "margin and reason: expected null"
         if claim["statement"] != statements.of_filter_claim(claim):
             return "the statement is not the one that the claim proves"
         name, c = claim["claim"], float.fromhex(claim["c"])
@@ -200,5 +228,5 @@ def verify(claim: dict[str, Any], filters: ExactFilters) -> str | None:
         if name == "steady-state":
             return fixed_point.verify_steady_state(exact, claim, filters.gain(node))
         return _VERIFIERS[name, claim["verdict"]](exact, claim)
-    except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         return f"it is malformed: {error}"

@@ -23,6 +23,7 @@ from numpy import ndarray
 
 from tolnet.certificates import balls
 from tolnet.certificates.balls import Ball, BallMatrix, NotProved
+from tolnet.certificates.clock import check_clock
 from tolnet.certificates.exact_filter import Equations, ExactFilter, coordinates_of, matrix_from, upper
 from tolnet.certificates.numerals import number_text, symmetric_matrix, symmetric_text
 
@@ -88,6 +89,7 @@ class _Krawczyk:
 
     def slope(self, P: BallMatrix, theta: Ball) -> BallMatrix:
         """g'."""
+        check_clock()
         at = self.equations.at(P, theta)
         change = self.equations.derivative(at, self.weights)
         d = change.loop.nrows()
@@ -245,6 +247,33 @@ def verify_steady_state(
     if error is None or not error <= stated:
         return f"the stated gain may be further from the exact one than {stated:.2e} of its largest entry"
     return None
+
+
+def gain_distance(exact: ExactFilter, box: Box, gain: Sequence[Float[ndarray, "n _p"]]) -> float | None:
+    """How far a stated gain is from that of the steady state in the box, in units of states and outputs.
+
+    The largest |entry_ij of stated - exact| sqrt(Sigma_jj / U_ii), Sigma = C V C' + R the covariance of innovations
+    and U = A V A' + Q that of the prediction without them; None where no bound was found. Exact entries are at most 1
+    in these units, since G Sigma G' <= A V A'; beside the largest entry, those of states in small units would vanish.
+    """
+    found = enclose(exact, box)
+    if isinstance(found, NotProved) or len(gain) != len(exact.sensors):
+        return None
+    with balls.working_precision(found.bits):
+        equations = found.equations
+        at = equations.at(found.P, found.theta)
+        V = found.P if at.H is None else balls.symmetric_part(at.H * found.P)
+        prior = balls.congruence(equations.A, V) + equations.Q
+        AZ, worst = equations.A * at.Z, balls.ball(0)
+        for sensor, stated in zip(exact.sensors, gain, strict=True):
+            if stated.shape != (equations.n, len(sensor.C)) or not np.isfinite(stated).all():
+                return None
+            innovation = balls.congruence(balls.matrix(sensor.C), V) + sensor.noise.balls()
+            off = AZ * sensor.balls()[0] - balls.matrix(stated)
+            for i in range(off.nrows()):
+                for j in range(off.ncols()):
+                    worst = worst.max((abs(off[i, j]) * (innovation[j, j] / prior[i, i]).sqrt()).upper())
+        return balls.above(worst) if worst.is_finite() else None
 
 
 def _gain_error(exact: ExactFilter, at: Enclosure, gain: Sequence[ndarray]) -> float | None:

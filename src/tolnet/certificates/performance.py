@@ -67,6 +67,8 @@ def prove_performance(
     small = (deployed.N + 1) * deployed.n <= MOST
     if deployed.centre is None:
         return _undecided("there is no least favourable model")
+    if network.unmixed:
+        return _undecided(network.unmixed)
     if not has_covariances(deployed):
         return _undecided("Q is not exactly semidefinite, or some R not definite; a factor B or D instead is always")
     if not small and not can_follow(deployed):
@@ -117,6 +119,8 @@ def verify_performance(network: ExactNetwork, claim: dict[str, Any]) -> str | No
         return "its matrices or its intervals are not those of such a network"
     if claim["statement"] != statements.performance(*intervals[-1].tolist()):
         return "the statement is not the one that the claim proves"
+    if network.unmixed:
+        return network.unmixed
     if not has_covariances(deployed):
         return "Q is not semidefinite, or some R is not definite"
     if deployed.centre is None or not can_follow(deployed):

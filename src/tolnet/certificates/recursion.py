@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from tolnet.certificates import balls
 from tolnet.certificates.balls import Ball, BallMatrix, NotProved
+from tolnet.certificates.clock import check_clock
 from tolnet.certificates.exact_filter import Equations, Point
 
 _NEWTON_STEPS = 100
@@ -127,6 +128,7 @@ def enclose_theta(equations: Equations, P: BallMatrix, c: float) -> Ball | NotPr
     """The theta with gamma(P, theta) = c of every P in an enclosure. Assumes Pi = I."""
     from flint import ctx
 
+    check_clock()
     if c == 0:
         return balls.ball(0)
     near = approximate_theta(balls.midpoints(P), c)

@@ -69,6 +69,8 @@ def prove_stability(
     if rate is not None:
         claim, keys = "decay-rate", {"block": block, "rate": number_text(rate)}
         statement = statements.decay_rate(block, rate)
+    if network.unmixed:
+        return Undecided(claim, statement, network.unmixed, keys=keys)
     if not (
         has_positive_diagonal(candidate.X) and (candidate.centre is None or has_positive_diagonal(candidate.centre))
     ):
@@ -207,6 +209,8 @@ def refute_stability(
     """
     block = "network" if network.deployed.centre is None else "F"
     statement = statements.instability(of)
+    if network.unmixed:
+        return Undecided("schur-stability", statement, network.unmixed, keys={"block": block})
     for bits in (_SHORT, _LONG):
         short, direction = shortened_indefinite(X, bits), _shortened_vector(v, bits)
         witness, x = Exact.of(short), Exact.of(direction[:, None])

@@ -1,48 +1,56 @@
-"""The sentences of a certificate, fixed by the other keys of a claim (docs/certificate.md, Statements)."""
+"""The sentences of a certificate, fixed by the other keys of a claim (docs/certificate.md, Statements).
+
+They say what someone who reads them alone would otherwise take for granted: that gains are constant, which model is
+the least favourable one, that tolerances are on the gamma scale, that attraction is local, what a radius is part of.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-BLOCKS = {"F": "the network's error dynamics F", "network": "the network block of the error dynamics"}
+BLOCKS = {
+    "F": "the network's error dynamics F under the stated least favourable model",
+    "network": "the network block of the error dynamics",
+}
 _LEAST_FAVOURABLE = "the least favourable block of the error dynamics"
+_AS_STATED = "With the stated weights and constant gains"
+_STAYS_STABLE = "With constant gains in each state, the network block of the error dynamics stays stable"
 
 
 def stability(block: str) -> str:
     """Of a proved `schur-stability`."""
-    return f"Every eigenvalue of {BLOCKS[block]} lies inside the unit circle: errors die out."
+    return f"{_AS_STATED}, every eigenvalue of {BLOCKS[block]} lies inside the unit circle: errors die out."
 
 
 def instability(of: str) -> str:
     """Of a refuted `schur-stability`; `of` is "network" or "centre"."""
-    return f"Some eigenvalue of {BLOCKS.get(of, _LEAST_FAVOURABLE)} lies outside the unit circle: errors grow."
+    block = BLOCKS.get(of, _LEAST_FAVOURABLE)
+    return f"{_AS_STATED}, some eigenvalue of {block} lies outside the unit circle: errors grow."
 
 
 def decay_rate(block: str, rate: float) -> str:
     """Of `decay-rate`."""
-    return f"Every eigenvalue of {BLOCKS[block]} lies inside the circle of radius {rate!r}."
+    return f"{_AS_STATED}, every eigenvalue of {BLOCKS[block]} lies inside the circle of radius {rate!r}."
 
 
 def link_losses(most: int) -> str:
     """Of `switching` with `drop`."""
-    return f"{_stays_stable()} however links drop and return, at most {most} at once."
+    how = "each losing estimate and measurement together"
+    return f"{_STAYS_STABLE} however links drop and return, at most {most} at once, {how}."
 
 
 def scenarios(number: int) -> str:
     """Of `switching` with `scenarios`."""
-    return f"{_stays_stable()} however the nominal network and {number} scenarios alternate."
-
-
-def _stays_stable() -> str:
-    return "The network block of the error dynamics stays stable"
+    how = "a link that drops loses both estimate and measurement"
+    return f"{_STAYS_STABLE} however the nominal network and {number} scenarios alternate ({how})."
 
 
 def performance(low: float, high: float) -> str:
     """Of `performance`."""
     return (
-        "Under the stated least favourable model the mean square deviation of the network lies in"
-        f" [{low!r}, {high!r}], and that of every node in its interval."
+        f"{_AS_STATED}, under the stated least favourable model, the steady mean square deviation of the network lies"
+        f" in [{low!r}, {high!r}], and that of every node in its interval."
     )
 
 
@@ -73,37 +81,53 @@ def who(node: int | str) -> str:
     return "the centre" if node == "centre" else f"node {node}"
 
 
-def steady_state(node: int | str, c: float, radius: float) -> str:
+def steady_state(node: int | str, c: float, radius: float, gain_error: float) -> str:
     """Of `steady-state`."""
-    return f"An exact steady state of {who(node)} at the tolerance {c!r} lies within {radius!r} of the stated one."
+    return (
+        f"An exact steady state of {who(node)} at the tolerance {c!r} (gamma) lies within {radius!r} of the stated"
+        f" one, relative to sqrt(P_ii P_jj) and to theta, and its gain within {gain_error!r} of the stated one,"
+        " relative to the largest entry."
+    )
 
 
 def attraction(node: int | str, c: float, rate: float) -> str:
     """Of a proved `attraction`."""
-    return f"The steady state of {who(node)} at the tolerance {c!r} attracts, by a factor of at most {rate!r} a step."
+    return (
+        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) attracts locally: covariances that start"
+        f" near it approach it, in the end by a factor of at most {rate!r} a step."
+    )
 
 
 def repulsion(node: int | str, c: float) -> str:
     """Of a refuted `attraction`."""
-    return f"The steady state of {who(node)} at the tolerance {c!r} does not attract."
+    return (
+        f"The steady state of {who(node)} at the tolerance {c!r} (gamma) does not attract: some covariances that"
+        " start as near to it as you like move away."
+    )
 
 
 def tolerance(node: int | str, c: float, low: float, high: float) -> str:
     """Of `tolerance`."""
-    return f"The tolerance of {who(node)} for a network at {c!r} lies in [{low!r}, {high!r}]."
+    return (
+        f"The tolerance of {who(node)} that follows from the centre's steady state at {c!r} (gamma) lies in"
+        f" [{low!r}, {high!r}]."
+    )
 
 
 def convergence(node: int | str, c: float) -> str:
     """Of `convergence`."""
     return (
-        f"The filter of {who(node)} at the tolerance {c!r}, started at the stated covariance, converges to its steady"
-        " state."
+        f"The covariances of the filter of {who(node)} at the tolerance {c!r} (gamma), started at the stated one,"
+        " converge to its steady state."
     )
 
 
 def convergence_all(node: int | str, c: float) -> str:
     """Of `convergence-all`."""
-    return f"The filter of {who(node)} at the tolerance {c!r} converges to one steady state from every start."
+    return (
+        f"The covariances of the filter of {who(node)} at the tolerance {c!r} (gamma) converge to one steady state"
+        " from every start."
+    )
 
 
 def of_filter_claim(claim: Mapping[str, Any]) -> str:
@@ -111,7 +135,8 @@ def of_filter_claim(claim: Mapping[str, Any]) -> str:
     node, c = claim["node"], float.fromhex(claim["c"])
     match claim["claim"], claim["verdict"]:
         case "steady-state", "proved":
-            return steady_state(node, c, float.fromhex(claim["proof"]["box"]["radius"]))
+            radius, error = claim["proof"]["box"]["radius"], claim["gain_error"]
+            return steady_state(node, c, float.fromhex(radius), float.fromhex(error))
         case "attraction", "proved":
             return attraction(node, c, float.fromhex(claim["rate"]))
         case "attraction", "refuted":

@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from tolnet.certificates import statements
 from tolnet.certificates.exact import Exact, segment_sums
-from tolnet.certificates.exact_network import ExactNetwork
+from tolnet.certificates.exact_network import ExactNetwork, unmixed_column
 from tolnet.certificates.numerals import matrix_text, shortened, symmetric_text
 from tolnet.certificates.stability import has_positive_diagonal
 from tolnet.certificates.verdicts import Proved, Undecided
@@ -47,6 +47,8 @@ def prove_link_losses(
     """
     statement = statements.link_losses(most)
     keys = {"drop": most}
+    if network.unmixed:
+        return Undecided("switching", statement, network.unmixed, keys=keys)
     if (network.deployed.weights < 0).any():
         return Undecided("switching", statement, "some weights are negative", keys=keys)
     if not has_positive_diagonal(Y):
@@ -119,9 +121,12 @@ def prove_scenarios(
     """
     statement = statements.scenarios(len(scenarios))
     keys = {"scenarios": [_entry(network, each) for each in scenarios]}
-    reason = "the candidate is not positive definite"
-    if not has_positive_diagonal(Y):
+    given = (scenario.weights for scenario in scenarios if scenario.weights is not None)
+    unmixed = [network.unmixed, *(unmixed_column(w, network.deployed.offsets) for w in given)]
+    reason = next(filter(None, unmixed), "the candidate is not positive definite")
+    if any(unmixed) or not has_positive_diagonal(Y):
         return Undecided("switching", statement, reason, keys=keys)
+    reason = "the candidate is not positive definite"
     short = shortened(Y, 24)
     exact = Exact.of(short)
     good = bool(exact.definite().all())
