@@ -361,3 +361,21 @@ def test_the_json_document_is_the_certificate(tolnet: Tolnet, small: Path, tmp_p
     assert ran.document == json.loads(path.read_text())
     assert ran.document["schema"] == "tolnet.certificate/1"
     assert ran.document["problem"]["sha256"] == model.load(small).digest
+
+
+def test_a_table_for_a_problem_without_a_tolerance_is_checked_at_the_one_that_is_meant(
+    tolnet: Tolnet, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    silent, text = Path("silent.toml"), small.read_text()
+    start = text.index("[ambiguity]")
+    end = text.find("\n[", start + 1)
+    silent.write_text(text[:start] + (text[end:] if end > 0 else ""))
+    path, table = Path("c.json"), Path("t.npz")
+    assert tolnet("table", silent, "-c", "0.01", "-o", table).code == 0
+    ran = tolnet("certify", silent, "--table", table, "--claims", "steady-state,tolerance", "-o", path)
+    assert ran.code == 0
+    command = suggested(ran)[0]
+    assert tolnet(*command).code == 0, command
+    ran = tolnet("check", path, "--problem", silent, "--table", table)
+    assert (ran.code, "the problem has no tolerance" in ran.err) == (1, True)

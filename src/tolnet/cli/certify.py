@@ -149,9 +149,13 @@ def certify(
     deployment = repeated(
         tolerance=tolerance, convention=convention, diffusion=diffusion, precision=_unless(precision)
     )
+    meant = deployment
+    if table is not None and network.ambiguity is None:  # a check must be told whose tolerance is meant
+        own = subject.ambiguity
+        meant += repeated(tolerance=own.tolerance, convention=own.convention)
     asked = repeated(claims=claims, rate=rate, scenarios=scenarios, **{"drop-links": drop_links}, table=table)
     console.suggest(
-        *_next_commands(shlex.quote(problem), deployment, asked, verdicts, outputs, table, stable_weights)
+        *_next_commands(shlex.quote(problem), deployment, meant, asked, verdicts, outputs, table, stable_weights)
     )
     answers = {verdict.verdict for verdict in verdicts}
     if "refuted" in answers:
@@ -294,6 +298,7 @@ def _unless(precision: str) -> str | None:
 def _next_commands(
     problem: str,
     deployment: str,
+    meant: str,
     asked: str,
     verdicts: Sequence[Verdict],
     outputs: Sequence[Path],
@@ -302,7 +307,7 @@ def _next_commands(
 ) -> Iterator[str]:
     if outputs:
         tied = table is not None or any(v.claim == "steady-state" and v.verdict == "proved" for v in verdicts)
-        against = f" --problem {problem}{repeated(table=table)}{deployment}"
+        against = f" --problem {problem}{repeated(table=table)}{meant}"
         yield f"tolnet check {shlex.quote(str(outputs[0]))}{against if tied else ''}"
     else:
         yield f"tolnet certify {problem}{deployment}{asked} -o certificate.json"
