@@ -953,7 +953,7 @@ def counts(findings: list[Finding]) -> dict[str, int]:
 
 
 def summary(findings: list[Finding]) -> Iterator[str]:
-    """What they come to: a line for all, one for each kind of claim and result, one for each reason to go elsewhere."""
+    """What they come to: a line for all, for each kind of claim and result, for each reason to go elsewhere."""
     found = ", ".join(f"{number} {kind}" for kind, number in counts(findings).items())
     yield f"summary: {len(findings)} claims: {found}"
     kinds: dict[tuple[str, str, str], list[Finding]] = {}

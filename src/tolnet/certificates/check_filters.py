@@ -3,9 +3,9 @@
     python check_filters.py certificate.json        # or check.py, which finds this file beside it
 
 Every number is enclosed: a scalar between two fractions that are rounded outward, a matrix between whole numbers,
-middle and radius. What is computed holds for every number inside, and a comparison that is true was proved; a
-comparison that is false says nothing, so that `invalid` means not shown. Nothing is shared with the program that wrote
-the certificate: sections 11.4 to 11.9 of docs/mathematics.md, and docs/certificate.md, say what is verified and why.
+middle and radius. What is computed holds for every number inside; a comparison that is true was proved, and one that
+is false says nothing, so that `invalid` means not shown. Nothing is shared with the program that wrote the
+certificate: docs/certificate.md and docs/mathematics.md, 11.4 to 11.9, say what is verified and why.
 
 Read in this order: intervals, matrices in balls, inverses and definiteness, the equations of a filter, its steady
 state, the covariance recursion, the region of contraction, the bracket, the filters of a deployment, the claims.
@@ -31,7 +31,8 @@ def _beside(name: str) -> Any:
     """The module in the file of this name beside this one, where `python -I` does not look."""
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
@@ -194,7 +195,7 @@ def logarithm(x: Fraction) -> Interval:
 
 @lru_cache(maxsize=64)
 def _atanh(z: Fraction, digits: int) -> tuple[int, int]:
-    """2^digits atanh z = sum of t_i / (2 i + 1), t_i = 2^digits z^(2 i + 1), from below and from above, 0 <= z <= 1/3.
+    """2^digits atanh z = sum of t_i / (2 i + 1), t_i = 2^digits z^(2 i + 1), from below and above, 0 <= z <= 1/3.
 
     Rounded down, t_i is too small by less than 2: the error e of one gives e/9 + 1 + 1/3 of the next. With what the
     division loses, a term is too small by less than 3. Behind the last, t < 3, and the rest of the series is less
@@ -207,7 +208,7 @@ def _atanh(z: Fraction, digits: int) -> tuple[int, int]:
         total += t // (2 * count + 1)
         count += 1
         t = t * square >> digits
-    return total, total + 3 * count + 4
+    return total, total + 3 * count + 4 * (z > 0)
 
 
 # -------------------- Matrices in balls -----------------------------------------------------------------------
@@ -366,7 +367,7 @@ def from_coordinates(column: Balls, n: int) -> Balls:
 
 
 def near_inverse(M: Matrix) -> Matrix:
-    """Near the inverse: elimination in fixed point, in place, with the largest pivot of a column. No more is claimed."""
+    """Near the inverse: elimination in fixed point, in place, with the largest pivot of a column."""
     n, digits = len(M.rows), Precision.bits + GUARD
     lift = digits - _digits(M)
     rows = [[check.shifted(x, lift) for x in row] for row in M.rows]
@@ -431,10 +432,10 @@ def determinant(M: Matrix) -> Fraction:
 def log_det(M: Balls, back: Balls) -> Interval:
     """log det of every matrix in M, whose inverses lie in `back`.
 
-    det(m + R) = det m det(I + m^-1 R); where |m^-1| |R| d <= q d, |log det(I + m^-1 R)| <= n (q + q^2 / 2 + ...).
+    det(m + R) = det m det(I + m^-1 R); |log det(I + m^-1 R)| <= n (q + q^2 / 2 + ...) where |m^-1| |R| d <= q d, d > 0.
     """
     relative = back.size @ M.radius
-    q = contraction(relative, [1] * len(relative.rows)) if any(map(any, relative.rows)) else Fraction(0)
+    q = contraction(relative, [sum(row) for row in back.size.rows]) if any(map(any, relative.rows)) else Fraction(0)
     det = determinant(M.middle)
     _require(det > 0, "a determinant may not be positive")
     return exactly(det).log() + plus_minus(Fraction(0), len(relative.rows) * q / (1 - q))
@@ -470,12 +471,26 @@ def is_positive(M: Balls) -> bool:
     """Whether every symmetric matrix in M was shown to be positive definite.
 
     Where the radii, moved to the diagonal, take too much: for X near the inverse of a Cholesky factor of the middle,
-    X M X' is near the identity, and its diagonal may outweigh the rest.
+    X M X' is near the identity, and its diagonal may outweigh the rest. Last, by elimination in intervals.
     """
     if check.is_positive_definite(below(M)):
         return True
     X = near_inverse_factor(symmetric(M).middle) if any(map(any, M.radius.rows)) else None
-    return X is not None and outweighs(congruence(exact(X), M))
+    return X is not None and (outweighs(congruence(exact(X), M)) or has_positive_pivots(M))
+
+
+def has_positive_pivots(M: Balls) -> bool:
+    """Whether every pivot of the symmetric elimination is positive for all of M."""
+    rows = [[M.entry(i, j) for j in range(i + 1)] for i in range(len(M.middle.rows))]
+    while rows:
+        check.Clock.check()
+        (pivot,), *rows = rows
+        if not pivot.low > 0:
+            return False
+        heads = [row[0] for row in rows]
+        shares = [head / pivot for head in heads]
+        rows = [[x - shares[i] * heads[j] for j, x in enumerate(row[1:])] for i, row in enumerate(rows)]
+    return True
 
 
 def outweighs(M: Balls) -> bool:
@@ -659,7 +674,7 @@ class Enclosure(NamedTuple):
 class Krawczyk:
     """g = [P - T(P, theta); gamma(P, theta) - c] of steps from the middle of a box, and its derivative.
 
-    For any matrix B: m - B g(m) + (I - B g'(X)) (X - m), inside X, proves exactly one zero of g in X, and it lies there
+    For any matrix B: m - B g(m) + (I - B g'(X)) (X - m), inside X, proves exactly one zero of g in X, and holds it
     (R. Krawczyk, Computing 4, 1969). Steps are the coordinates of P, then theta; theta and gamma are scaled by
     powers of two.
     """
@@ -926,8 +941,8 @@ def bracket(equations: Equations, low: Matrix, high: Matrix, steps: int) -> tupl
     """L and U, so many steps on, between which every orbit lies in the end.
 
     With kappa - 1 - log kappa >= c, T_0(P) = A (P^-1 + S)^-1 A' + Q and T_+(P) = A ((kappa P)^-1 + S)^-1 A' + Q:
-    0 < L < T_0(L) and U > T_+(U) > 0 hold every orbit; gamma rises with P, so theta(U) <= theta_t <= theta(L), and the
-    next P lies between T(L, theta(U)) and T(U, theta(L)), or T_+(U).
+    0 < L < T_0(L) and U > T_+(U) > 0 hold every orbit; gamma rises with P, so theta(U) <= theta_t <= theta(L), and
+    the next P lies between T(L, theta(U)) and T(U, theta(L)), or T_+(U).
     """
     under, over = near_factors(float(equations.c))
     _require(_gain(over).low >= equations.c, "the factor kappa of the tolerance was not enclosed")
@@ -1056,8 +1071,9 @@ def steady_state(claim: dict[str, Any], at: Deployment) -> str:
 
     at_some(PRECISIONS, show)
     return (
-        f"An exact steady state of {_who(node)} at the tolerance {float(c)!r} lies within {float(box.radius)!r} of the"
-        " stated one."
+        f"An exact steady state of {_who(node, c)} lies within {float(box.radius)!r} of the stated one, relative to"
+        f" sqrt(P_ii P_jj) and to theta, and its gain within {error!r} of the stated one, relative to the largest"
+        " entry."
     )
 
 
@@ -1090,8 +1106,8 @@ def attracting(claim: dict[str, Any], at: Deployment) -> str:
     Y = check.symmetric(proof["Y"], d, "proof.Y")
     at_some(PRECISIONS, lambda: require_decrease(derivative(filters.enclosure(node, c, box)), weighed(Y, at.n), rate))
     return (
-        f"The steady state of {_who(node)} at the tolerance {float(c)!r} attracts, by a factor of at most"
-        f" {float(rate)!r} a step."
+        f"The steady state of {_who(node, c)} attracts locally: covariances that start near it approach it, in the"
+        f" end by a factor of at most {float(rate)!r} a step."
     )
 
 
@@ -1107,7 +1123,10 @@ def repelling(claim: dict[str, Any], at: Deployment) -> str:
         _require(is_positive(congruence(J.T, weighted) - weighted), "J' X J - X > 0 was not shown")
 
     at_some(PRECISIONS, show)
-    return f"The steady state of {_who(node)} at the tolerance {float(c)!r} does not attract."
+    return (
+        f"The steady state of {_who(node, c)} does not attract: some covariances that start as near to it as you like"
+        " move away."
+    )
 
 
 def tolerance(claim: dict[str, Any], at: Deployment) -> str:
@@ -1123,7 +1142,10 @@ def tolerance(claim: dict[str, Any], at: Deployment) -> str:
         _require((low <= 0 or found.low >= low) and found.high <= high, "the tolerance may lie outside the interval")
 
     at_some(PRECISIONS, show)
-    return f"The tolerance of {_who(node)} for a network at {float(c)!r} lies in [{low!r}, {high!r}]."
+    return (
+        f"The tolerance of node {node} that follows from the centre's steady state at {float(c)!r} (gamma) lies in"
+        f" [{low!r}, {high!r}]."
+    )
 
 
 def local_tolerance(centre: Enclosure, S: Balls) -> Interval:
@@ -1151,13 +1173,14 @@ def converging(claim: dict[str, Any], at: Deployment) -> str:
         return found
 
     found = at_some(PRECISIONS, contracting)
-    at_some(
-        (bits, 2 * bits),
-        lambda: region.require_inside(found, region.seen(found, orbit(filters.equations(node, c), start, steps))),
-    )
+
+    def arriving() -> None:
+        end = orbit(filters.equations(node, c), start, steps)
+        region.require_inside(found, region.seen(found, end))
+
+    at_some((bits, 2 * bits), arriving)
     return (
-        f"The filter of {_who(node)} at the tolerance {float(c)!r}, started at the stated covariance, converges to its"
-        " steady state."
+        f"The covariances of the filter of {_who(node, c)}, started at the stated one, converge to its steady state."
     )
 
 
@@ -1188,7 +1211,7 @@ def converging_for_all(claim: dict[str, Any], at: Deployment) -> str:
         region.require_inside(found, between(region.seen(found, L), region.seen(found, U)))
 
     at_some(PRECISIONS, show)
-    return f"The filter of {_who(node)} at the tolerance {float(c)!r} converges to one steady state from every start."
+    return f"The covariances of the filter of {_who(node, c)} converge to one steady state from every start."
 
 
 RULES = {  # as those of check.py: keys of its own, and what verifies it
@@ -1233,8 +1256,9 @@ def _region(proof: dict[str, Any], n: int) -> Region:
     return Region(L, Y, Fraction(rate), Fraction(radius))
 
 
-def _who(node: Node) -> str:
-    return "the centre" if node == "centre" else f"node {node}"
+def _who(node: Node, c: Fraction) -> str:
+    name = "the centre" if node == "centre" else f"node {node}"
+    return f"{name} at the tolerance {float(c)!r} (gamma)"
 
 
 if __name__ == "__main__":
