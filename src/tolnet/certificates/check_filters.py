@@ -432,7 +432,8 @@ def determinant(M: Matrix) -> Fraction:
 def log_det(M: Balls, back: Balls) -> Interval:
     """log det of every matrix in M, whose inverses lie in `back`.
 
-    det(m + R) = det m det(I + m^-1 R); |log det(I + m^-1 R)| <= n (q + q^2 / 2 + ...) where |m^-1| |R| d <= q d, d > 0.
+    det(m + R) = det m det(I + m^-1 R); where |m^-1| |R| d <= q d for some d > 0, the logarithm of the second is at
+    most n (q + q^2 / 2 + ...).
     """
     relative = back.size @ M.radius
     q = contraction(relative, [sum(row) for row in back.size.rows]) if any(map(any, relative.rows)) else Fraction(0)
