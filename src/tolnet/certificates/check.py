@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import importlib.util
 import json
 import math
 import re
@@ -27,7 +26,6 @@ from fractions import Fraction
 from functools import cache, cached_property
 from itertools import accumulate, combinations, pairwise
 from operator import mul
-from pathlib import Path
 from time import process_time
 from typing import Any
 
@@ -719,7 +717,9 @@ def _shown(text: str) -> str:
 def _judge(claim: dict[str, Any], name: str, verdict: str, at: Deployment | Channels) -> tuple[str, str | None]:
     Clock.check()
     if name in LOGARITHMIC and verdict in EVIDENCE and all(name != known for known, _ in at.rules):
-        raise Declined("it needs a logarithm, which check_filters.py beside this file takes, or tolnet check")
+        raise Declined(
+            "it needs a logarithm, which check_filters.py takes, run in the place of this file, or tolnet check"
+        )
     _require((name, verdict) in at.rules, "no such claim, or none that can have this verdict")
     own, verify = at.rules[name, verdict]
     either = ("drop", "scenarios") if verify is switching else ()
@@ -968,22 +968,9 @@ def summary(findings: list[Finding]) -> Iterator[str]:
         yield f"  {number} need tolnet check: {reason}"
 
 
-def further_rules() -> Rules:
-    """Those of check_filters.py, where it lies beside this file: for the claims that need a logarithm."""
-    path = Path(__file__).with_name("check_filters.py")
-    spec = importlib.util.spec_from_file_location("check_filters", path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        return {}
-    sys.modules["check"] = sys.modules[__name__]  # what that file imports is this one, by whatever name it runs
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["check_filters"] = module
-    spec.loader.exec_module(module)
-    return module.RULES
-
-
 def main(arguments: list[str] | None = None, more: Rules | None = None) -> int:
     """Check the certificate that the command line names; `more` are rules of another file."""
-    rules = {**RULES, **(further_rules() if more is None else more)}
+    rules = {**RULES, **(more or {})}
     known = dict.fromkeys([*(name for name, _ in RULES), *LOGARITHMIC])
     parser = argparse.ArgumentParser(
         description="Check a certificate, and trust nothing else.", epilog=exit_code.__doc__

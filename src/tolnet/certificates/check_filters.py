@@ -1,6 +1,6 @@
 """Check the claims about filters, which need a logarithm, with the Python standard library alone.
 
-    python check_filters.py certificate.json        # or check.py, which finds this file beside it
+    python check_filters.py certificate.json        # every claim: those of check.py, which lies beside it, too
 
 Every number is enclosed: a scalar between two fractions that are rounded outward, a matrix between whole numbers,
 middle and radius. What is computed holds for every number inside; a comparison that is true was proved, and one that
