@@ -55,9 +55,9 @@ def complaint(tmp_path: Path, content: bytes, largest: int = checker.LARGEST_FIL
         (b'{"claims": ' + b"9" * 1_000_000 + b"}", "no finite double"),
         (b'{"claims": 0.' + b"1" * 1_000_000 + b"}", "no finite double"),
         (b'{"a": 1, "a": 1}', "key twice"),
-        (b"[" * 200_000, "nested too deeply|more numbers, lists or objects"),
-        (b'{"a":' * 200_000, "nested too deeply|more numbers, lists or objects"),
-        (b"[" * 200_000 + b"]" * 200_000, "nested too deeply|more numbers, lists or objects"),
+        (b"[" * 50_000, "nested too deeply"),
+        (b'{"a":' * 50_000, "nested too deeply"),
+        (b"[" * 50_000 + b"]" * 50_000, "nested too deeply"),
     ],
 )
 def test_what_is_no_plain_json_is_refused(tmp_path: Path, content: bytes, says: str) -> None:

@@ -756,7 +756,8 @@ def check(
         raise Refused(str(problem)) from None
     at.rules = rules
     if names is not None:
-        claims = [claim for claim in claims if isinstance(claim, dict) and claim.get("claim") in names]
+        wanted = list(names)
+        claims = [claim for claim in claims if isinstance(claim, dict) and claim.get("claim") in wanted]
     told: set[str] = set()
     return [examine(claim, at, told) for claim in claims]
 
