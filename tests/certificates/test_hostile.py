@@ -55,9 +55,9 @@ def complaint(tmp_path: Path, content: bytes, largest: int = checker.LARGEST_FIL
         (b'{"claims": ' + b"9" * 1_000_000 + b"}", "no finite double"),
         (b'{"claims": 0.' + b"1" * 1_000_000 + b"}", "no finite double"),
         (b'{"a": 1, "a": 1}', "key twice"),
-        (b"[" * 200_000, "nested too deeply"),
-        (b'{"a":' * 200_000, "nested too deeply"),
-        (b"[" * 200_000 + b"]" * 200_000, "nested too deeply"),
+        (b"[" * 50_000, "nested too deeply"),
+        (b'{"a":' * 50_000, "nested too deeply"),
+        (b"[" * 50_000 + b"]" * 50_000, "nested too deeply"),
     ],
 )
 def test_what_is_no_plain_json_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
@@ -174,7 +174,7 @@ def test_messages_of_hostile_files_are_plain_text(tmp_path: Path, capsys: pytest
         assert "\x1b" not in printed
         assert len(printed) < 10_000
     assert main([str(file)]) == 1
-    assert len(capsys.readouterr().out.splitlines()) == 1
+    assert [line[:9] for line in capsys.readouterr().out.splitlines()][:2] == ["invalid: ", "summary: "]
     file.write_text(json.dumps({**certificate("primal network"), "\x1b[2J" * 1000: 1}))
     assert main([str(file)]) == 2
     assert "\x1b" not in capsys.readouterr().err

@@ -19,7 +19,7 @@ import json
 import math
 import re
 import sys
-from collections import ChainMap
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -31,6 +31,8 @@ from typing import Any
 
 SCHEMA = "tolnet.certificate/1"
 LARGEST_FILE = 2**30  # bytes
+MOST_VALUES, MOST_OBJECTS = 3 * 10**7, 5 * 10**6  # of a file; of one that is small, fewer
+MOST_CLAIMS = 10**5  # and ten more for every node
 LONGEST_NUMBER = 40  # characters of a number in JSON; a double needs 24
 LARGEST_MATRIX = 1500  # rows of a matrix that speaks of all nodes at once
 LONGEST_PATH = 1000  # links
@@ -243,6 +245,7 @@ class Deployment:
     """The numbers of `data`. C_l is kept transposed, n x p_l; weights[k][l] is w_lk where it is not zero."""
 
     def __init__(self, data: Any, watch: Watch) -> None:
+        self.rules: Rules = {}
         keys = ("n", "nodes", "A", "process", "C", "noise", "directed", "neighbours", "weights", "gains", "centre")
         _object(data, "data", *keys)
         nodes, n = _whole(data, "data.nodes", 1), _whole(data, "data.n", 1, LARGEST_MATRIX)
@@ -547,6 +550,7 @@ class Channels:
     """The numbers of `data`, each over a period of its own."""
 
     def __init__(self, data: Any) -> None:
+        self.rules: Rules = {}
         periodic = ("A", "F", "Q", "mu", "C", "R", "tau", "phi")
         _object(data, "data", "kind", "n", "nodes", *periodic, "initial_second_moment")
         _one_of(("corrupted-channels",), data, "data.kind")
@@ -664,7 +668,8 @@ class Finding:
 
 
 Verify = Callable[[dict[str, Any], Any], str]  # of a claim and its Deployment or Channels: the sentence that is shown
-RULES: dict[tuple[str, str], tuple[tuple[str, ...], Verify]] = {  # keys of its own, and what verifies it
+Rules = Mapping[tuple[str, str], tuple[tuple[str, ...], Verify]]
+RULES: Rules = {  # keys of its own, and what verifies it
     ("schur-stability", "proved"): (("block",), stable),
     ("schur-stability", "refuted"): (("block",), unstable),
     ("decay-rate", "proved"): (("block", "rate"), stable),
@@ -711,24 +716,31 @@ def _shown(text: str) -> str:
 
 def _judge(claim: dict[str, Any], name: str, verdict: str, at: Deployment | Channels) -> tuple[str, str | None]:
     Clock.check()
-    if name in LOGARITHMIC and verdict in EVIDENCE:
-        raise Declined("it needs a logarithm, which tolnet check takes in ball arithmetic")
-    _require((name, verdict) in RULES, "no such claim, or none that can have this verdict")
-    own, verify = RULES[name, verdict]
+    if name in LOGARITHMIC and verdict in EVIDENCE and all(name != known for known, _ in at.rules):
+        raise Declined(
+            "it needs a logarithm, which check_filters.py takes, run in the place of this file, or tolnet check"
+        )
+    _require((name, verdict) in at.rules, "no such claim, or none that can have this verdict")
+    own, verify = at.rules[name, verdict]
     either = ("drop", "scenarios") if verify is switching else ()
     _object(claim, "the claim", *COMMON, EVIDENCE[verdict], *own, optional=either)
     _require(claim["reason"] is None, "reason: expected null for a claim that is decided")
     _require((name == "observability") == isinstance(at, Channels), "the claim speaks of another kind of data")
     _require(claim["margin"] is None or verify in (stable, switching), "margin: expected null")
-    if isinstance(at, Deployment) and at.unmixed:
+    if isinstance(at, Deployment) and at.unmixed and name not in LOGARITHMIC:
         raise Wrong(at.unmixed)
     shown = verify(claim, at)
     _require(claim["statement"] == shown, "the statement is not the one that this claim can make")
     return "valid", None
 
 
-def check(document: Any, watch: Watch = watched) -> list[Finding]:
-    """A finding for every claim of the document, as `load` returns it; Refused where it is no certificate."""
+def check(
+    document: Any, watch: Watch = watched, *, rules: Rules = RULES, names: Iterable[str] | None = None
+) -> list[Finding]:
+    """A finding for every claim of the document, as `load` returns it; Refused where it is no certificate.
+
+    `rules` may know more claims than this file; of `names`, only claims that are called so are checked.
+    """
     Clock.end = process_time() + LONGEST
     try:
         labels = ("schema", "tolnet", "problem", "convention", "tau", "tolerance", "status")
@@ -736,9 +748,16 @@ def check(document: Any, watch: Watch = watched) -> list[Finding]:
         _require(document["schema"] == SCHEMA, f"schema: expected {SCHEMA}")
         claims, data = _list(document["claims"], None, "claims"), document["data"]
         _require(bool(claims), "claims: the certificate claims nothing")
+        nodes = data.get("nodes") if isinstance(data, dict) else None
+        most = MOST_CLAIMS + 10 * (nodes if type(nodes) is int else 0)
+        _require(len(claims) <= most, f"claims: more than {most} are not checked")
         at = Channels(data) if isinstance(data, dict) and "kind" in data else Deployment(data, watch)
     except (Wrong, Declined) as problem:
         raise Refused(str(problem)) from None
+    at.rules = rules
+    if names is not None:
+        wanted = list(names)
+        claims = [claim for claim in claims if isinstance(claim, dict) and claim.get("claim") in wanted]
     told: set[str] = set()
     return [examine(claim, at, told) for claim in claims]
 
@@ -755,6 +774,11 @@ def load(path: str, largest: int = LARGEST_FILE) -> Any:
                 content += part
                 if len(content) > largest:
                     raise Refused(f"{path}: larger than {largest} bytes")
+        # what is read takes 40 bytes a value and 240 an object or list: an honest file has far fewer of them
+        values, objects = content.count(b","), content.count(b"{") + content.count(b"[")
+        size = len(content)
+        if values > min(MOST_VALUES, 10**6 + size // 4) or objects > min(MOST_OBJECTS, 10**5 + size // 16):
+            raise Refused(f"{path}: more numbers, lists or objects than a certificate of {size} bytes can have")
         hooks: dict[str, Any] = dict.fromkeys(("parse_constant", "parse_int", "parse_float"), _number)
         return json.loads(content.decode(), object_pairs_hook=_distinct, **hooks)
     except OSError as error:
@@ -888,16 +912,23 @@ def _covariance(thing: Any, where: str, n: int, full: str, factor: str, *columns
 
 def _neighbours(thing: Any, nodes: int, directed: bool) -> tuple[list[list[int]], list[list[int]]]:
     """Whom every node hears, and who hears it."""
-    hearers: list[list[int]] = [[] for _ in _list(thing, nodes, "data.neighbours")]
-    for k, heard in enumerate(thing):
+    for k, heard in enumerate(_list(thing, nodes, "data.neighbours")):
         where = f"data.neighbours[{k}]"
         for l in _list(heard, None, where):
             _require(type(l) is int and 0 <= l < nodes, f"{where}: expected numbers of nodes")
-            hearers[l].append(k)
         _require(all(a < b for a, b in pairwise(heard)), f"{where}: expected rising numbers")
         _require(k in heard, f"{where}: expected the node itself among them")
+    hearers: list[list[int]] = [[] for _ in thing]
+    for k, heard in enumerate(thing):
+        for l in heard:
+            hearers[l].append(k)
     _require(directed or thing == hearers, "data.neighbours: a link runs one way only")
     return thing, hearers
+
+
+# What the file beside this one, check_filters.py, shares of the above, by names that are not private.
+require, object_of, whole, doubles, matrix, symmetric = _require, _object, _whole, _doubles, _matrix, _symmetric
+scaled, shifted, unit, assemble, trace = _scaled, _shifted, _unit, _assemble, _trace
 
 
 # -------------------- The command -----------------------------------------------------------------------------
@@ -915,22 +946,54 @@ def _line(finding: Finding) -> str:
     return ascii(f"{finding.result}: {finding.claim}{who}, {finding.verdict}: {text}")[1:-1]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Check the certificate that the command line names."""
-    parser = argparse.ArgumentParser(description="Check a certificate in exact arithmetic.", epilog=exit_code.__doc__)
+def counts(findings: list[Finding]) -> dict[str, int]:
+    """How many claims there are of each result; those that are valid by their verdict."""
+    kinds = ("valid, proved", "valid, refuted", "invalid", "undecided", "not checked here")
+    found = Counter(f"valid, {each.verdict}" if each.result == "valid" else each.result for each in findings)
+    return {kind: found[kind] for kind in kinds}
+
+
+def summary(findings: list[Finding]) -> Iterator[str]:
+    """What they come to: a line for all, for each kind of claim and result, for each reason to go elsewhere."""
+    found = ", ".join(f"{number} {kind}" for kind, number in counts(findings).items())
+    yield f"summary: {len(findings)} claims: {found}"
+    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+    for each in findings:
+        kinds.setdefault((each.claim, each.result, each.verdict), []).append(each)
+    for (claim, result, verdict), alike in kinds.items():
+        nodes = {each.node for each in alike if isinstance(each.node, int)}
+        of = [f"{len(nodes)} distinct nodes"] * bool(nodes) + ["the centre"] * any(e.node == "centre" for e in alike)
+        said = result if result == "undecided" else f"{verdict}, {result}"
+        yield f"  {claim}: {len(alike)} {said}" + (f", of {' and '.join(of)}" if of else "")
+    for reason, number in Counter(each.reason for each in findings if each.result == "not checked here").items():
+        yield f"  {number} need tolnet check: {reason}"
+
+
+def main(arguments: list[str] | None = None, more: Rules | None = None) -> int:
+    """Check the certificate that the command line names; `more` are rules of another file."""
+    rules = {**RULES, **(more or {})}
+    known = dict.fromkeys([*(name for name, _ in RULES), *LOGARITHMIC])
+    parser = argparse.ArgumentParser(
+        description="Check a certificate, and trust nothing else.", epilog=exit_code.__doc__
+    )
     parser.add_argument("certificate", help="the JSON file")
+    parser.add_argument("--claims", metavar="A,B", help=f"check these only, of {', '.join(known)}")
     parser.add_argument("--json", action="store_true", help="findings as JSON on standard output")
     options = parser.parse_args(arguments)
+    names = None if options.claims is None else options.claims.split(",")
+    if unknown := set(names or ()) - known.keys():
+        parser.error(f"--claims: expected some of {', '.join(known)}, not {ascii(min(unknown))[:60]}")
     gc.disable()  # nothing here is cyclic, and a large certificate is millions of small objects
     try:
-        findings = check(load(options.certificate))
+        findings = check(load(options.certificate), rules=rules, names=names)
     except (Refused, MemoryError) as refusal:
         print(ascii(str(refusal) or "out of memory")[1:-1], file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-    report = {"schema": "tolnet.check/1", "findings": list(map(asdict, findings))}
-    print(json.dumps(report, indent=1) if options.json else "\n".join(map(_line, findings)))
+    report = {"schema": "tolnet.check/1", "summary": counts(findings), "findings": list(map(asdict, findings))}
+    text = [*map(_line, findings), *(ascii(line)[1:-1] for line in summary(findings))]
+    print(json.dumps(report, indent=1) if options.json else "\n".join(text))
     return exit_code(findings)
 
 
