@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 export MPLBACKEND := Agg
 
-.PHONY: demo test check bench study lock format clean help
+.PHONY: demo test check packages bench study lock format clean help
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -30,6 +30,9 @@ check: $(STAMP) ## style, types, import directions
 	@$(BIN)/ruff format --check .
 	@$(BIN)/lint-imports
 	@$(BIN)/pyright
+
+packages: $(STAMP) ## sdist and wheel: built, installed into empty environments, and run there
+	@$(BIN)/python scripts/check_packages.py
 
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks
