@@ -101,7 +101,7 @@ _TYPES = {"b": "bool (true and false)", "c": "complex", "U": "text", "S": "bytes
 """NumPy's kinds of what is no real number, in words."""
 
 
-_NO_NUMBERS = bool | np.bool_ | str | bytes | dict | None
+_NO_NUMBERS = (bool, np.bool_, str, bytes, dict, type(None))
 _LARGEST_EXPONENT = np.finfo(float).maxexp
 """An integer of more bits is no double."""
 

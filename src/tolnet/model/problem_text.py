@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tolnet.model.bounded_reading import LARGEST_PROBLEM, read_whole, text_of
-from tolnet.model.errors import MOST_COMPLAINTS, Complaint, InputError
+from tolnet.model.errors import MOST_COMPLAINTS, Complaint, InputError, Remainder
 
 Judge = Callable[[dict[str, Any], Path], object]
 """Raises InputError with everything that is wrong with the content of a problem file, whose folder is given."""
@@ -85,19 +85,20 @@ def _judge_head(head: bytes, size: int, folder: Path, judge: Judge) -> None:
             content = mapping_of(part, "")
         except InputError:
             continue
-        found = _told_by_beginning(content, folder, judge)
-        if len(found) > MOST_COMPLAINTS:
-            told, more = found[:MOST_COMPLAINTS], len(found) - MOST_COMPLAINTS
+        found, more = _told_by_beginning(content, folder, judge)
+        more += len(found) - MOST_COMPLAINTS
+        if len(found) >= MOST_COMPLAINTS and more > 0:
             line = part.count(b"\n")
             rest = f"has {more:,} more complaints up to line {line:,}; the rest of its {size:,} bytes was not judged"
-            raise InputError([*told, Complaint("", rest)])
+            raise InputError([*found[:MOST_COMPLAINTS], Complaint("", rest)])
         return
 
 
-def _told_by_beginning(content: dict[str, Any], folder: Path, judge: Judge) -> list[Complaint]:
+def _told_by_beginning(content: dict[str, Any], folder: Path, judge: Judge) -> tuple[list[Complaint], int]:
     """The complaints about the beginning of a file that are true of the whole: unknown keys, sensors but the last.
 
-    What is said of the others may be for want of the rest, or of the archive, which is not opened.
+    With the number of those that were only counted. What is said of other things may be for want of the rest, or of
+    the archive, which is not opened.
     """
     content.pop("arrays", None)
     tables = content.get("sensors")
@@ -107,8 +108,9 @@ def _told_by_beginning(content: dict[str, Any], folder: Path, judge: Judge) -> l
             warnings.simplefilter("ignore")  # the whole file will warn
             judge(content, folder)
     except InputError as error:
-        return [each for each in error.kept if _stands_alone(each, last)]
-    return []
+        counted = sum(each.count for each in error.kept if isinstance(each, Remainder))
+        return [each for each in error.kept if _stands_alone(each, last)], counted
+    return [], 0
 
 
 _HEADER = re.compile(rb"^[ \t]*\[\[?[ \t]*[A-Za-z_][\w. \t-]*\]\]?[ \t]*(?:#.*)?\r?$", re.MULTILINE)
