@@ -7,7 +7,7 @@ export MPLBACKEND := Agg
 # Where it is set, each of the processes that tests start would compile all of tolnet again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast check bench study lock format clean help
+.PHONY: demo test test-fast check packages bench study lock format clean help
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -35,6 +35,9 @@ check: $(STAMP) ## style, types, import directions
 	@$(BIN)/ruff format --check .
 	@$(BIN)/lint-imports
 	@$(BIN)/pyright
+
+packages: $(STAMP) ## sdist and wheel: built, installed into empty environments, and run there
+	@$(BIN)/python scripts/check_packages.py
 
 bench: $(STAMP) ## speed and memory, as ratios to a named peer in the same run
 	@$(BIN)/python -m benchmarks

@@ -55,7 +55,7 @@ def arguments(draw: st.DrawFn) -> dict[str, Any]:
         "states": lambda: draw(st.lists(labels, min_size=n, max_size=n)),
         "dt": lambda: float(generator.random() + 0.1),
         "positions": lambda: generator.standard_normal((N, draw(st.sampled_from([2, 3])))),
-        "names": lambda: draw(st.lists(labels, min_size=N, max_size=N)),
+        "names": lambda: draw(st.lists(labels, min_size=N, max_size=N, unique=True)),
         "name": lambda: draw(labels),
         "description": lambda: draw(labels) + "\nand more: [1,\n  2,\n] \"quoted\" 'too'",
         "ambiguity": lambda: draw(ambiguities),

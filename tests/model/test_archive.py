@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -223,3 +224,56 @@ def test_headers_that_are_no_header(head):
     member = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
     with pytest.raises(InputError, match="is no archive of arrays"):
         read_archive(zipped({"C.npy": member}))
+
+
+def test_a_name_that_stands_twice_is_refused():
+    for names in (["C.npy", "C.npy"], ["C.npy", "C"]):
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for name in names:
+                archive.writestr(name, npy_bytes(C))
+        with pytest.raises(InputError, match="holds 'C' twice"):
+            read_archive(stream.getvalue())
+
+
+def compressed(count: int) -> bytes:
+    """An archive of so many zeros."""
+    stream = io.BytesIO()
+    np.savez_compressed(stream, C=np.zeros(count))
+    return stream.getvalue()
+
+
+def test_what_unpacks_to_a_thousand_times_its_size_is_not_unpacked(monkeypatch):
+    bomb = compressed(2**24)
+    with monkeypatch.context() as patch:
+        patch.setattr(zipfile.ZipExtFile, "read", lambda *_: pytest.fail("was read"))
+        with pytest.raises(InputError, match=r"would unpack .* KiB to 128 MiB, more than 100 times as much"):
+            read_archive(bomb)
+    assert read_archive(compressed(2**20))["C"].shape == (2**20,)
+
+
+def test_a_header_that_does_not_fit_ends_the_reading_of_a_member():
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("C.npy", npy_bytes(C).replace(b"(4, 1, 1)", b"(9, 1, 1)"))
+    with pytest.raises(InputError, match=r"holds 'C' with 32 bytes of data, which is not \(9, 1, 1\) of float64"):
+        read_archive(stream.getvalue())
+
+
+def test_strange_arrays_are_counted(tmp_path):
+    strange = {f"x{i:03}": np.zeros(1) for i in range(100)}
+    with pytest.raises(InputError) as caught:
+        model.load(problem(tmp_path, {**GOOD, **strange}))
+    assert caught.value.complaints[0].message.startswith("holds 'x000', which nothing refers to")
+    assert str(caught.value.complaints[-1]) == "has 80 more complaints"
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "reason"), [(C > 0, r"bool \(true and false\)"), (C.astype(str), "text")], ids=["bool", "text"]
+)
+def test_the_type_is_the_reason(tmp_path, spoilt, reason):
+    with pytest.raises(
+        InputError, match=rf"sensors\.C is not a rectangular array of real numbers: its type is {reason}"
+    ):
+        model.load(problem(tmp_path, {**GOOD, "C": spoilt}))

@@ -204,14 +204,22 @@ def test_undirected_graphml_without_attributes(tmp_path):
     [
         (b"", "is no GraphML: no element found"),
         (b"<graphml", "is no GraphML: "),
-        (b"<html/>", "is no GraphML: file not successfully read as graphml"),
+        (b"<html/>", "is no GraphML: its outermost element is 'html'"),
         (
             HEAD + NODES + b'<edge source="a" target="q"/>' + TAIL,
             "has an edge to the node 'q', which it does not have",
         ),
-        (HEAD + NODES + b'<edge source="a"/>' + TAIL, "has an edge to the node 'None', which it does not have"),
-        (HEAD + NODES + b"<hyperedge/>" + TAIL, "is no GraphML: GraphML reader doesn't support hyperedges"),
+        (HEAD + NODES + b'<edge source="a"/>' + TAIL, "has an edge without source or target"),
+        (HEAD + NODES + b"<hyperedge/>" + TAIL, "has a hyperedge, a link of more than two nodes"),
         (HEAD + TAIL, "has no nodes"),
+        (b"<graphml/>", "is no GraphML: it has no graph"),
+        (HEAD + NODES.replace(b'"c"', b'"b"') + TAIL, "has the node 'b' twice"),
+        (HEAD + b"<node/>" + TAIL, "has a node without id"),
+        (HEAD + b'<node id="g"><graph>' + NODES + b"</graph></node>" + TAIL, "has a graph within a node"),
+        (HEAD + NODES + b"</graph><graph></graph></graphml>", "has more than one graph; one was expected"),
+        (b'<!DOCTYPE g [<!ENTITY l "lol">]>' + HEAD + NODES + TAIL, "declares entities, which are not read"),
+        (b'<?xml version="1.0" encoding="klingon"?>' + HEAD + NODES + TAIL, "is no GraphML: unknown encoding"),
+        ((HEAD + NODES + TAIL).replace(b"<node", b"<y:node"), "is no GraphML: unbound prefix"),
     ],
 )
 def test_bad_graphml(tmp_path, data, message):
@@ -233,6 +241,78 @@ def test_graphml_numbers_its_nodes_as_the_sensors_are_numbered(tmp_path):
     own = model.load(problem_with(tmp_path, graphml(networkx.DiGraph([(2, 1), (0, 2)]), tmp_path)))
     assert own.links.tolist() == [[0, 2], [2, 1]]
     assert own.names is None
+
+
+PATH = b'<edge source="a" target="b"/><edge source="b" target="c"/>'
+LINES, ARROWS = [[0, 1], [1, 2]], HEAD.replace(b"undirected", b"directed")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b'<graphml><graph edgedefault="undirected">' + NODES + PATH + TAIL,
+        HEAD.replace(b"/xmlns", b"/xmlns/graphml") + NODES + PATH + TAIL,
+        (HEAD + NODES + PATH + TAIL).replace(b"<", b"<g:").replace(b"<g:/", b"</g:").replace(b"xmlns=", b"xmlns:g="),
+        HEAD.replace(b"<graph ", b'<key id="w" for="edge" attr.name="stairs" attr.type="boolean"/><graph ')
+        + NODES
+        + PATH.replace(b"/>", b'><data key="w"> true </data></edge>', 1)
+        + TAIL,
+        HEAD + NODES.replace(b"/>", b'><data key="none">1</data><port name="p"/></node>') + PATH + TAIL,
+        HEAD.replace(b"undirected", b"sideways") + NODES + PATH + TAIL,
+        ARROWS + NODES + PATH.replace(b"/>", b' directed="false"/>') + TAIL,
+        b'<?xml version="1.0" encoding="UTF-16"?>'.decode().encode("utf-16")
+        + (HEAD + NODES + PATH + TAIL).decode().encode("utf-16-le"),
+    ],
+)
+def test_graphml_of_all_kinds(tmp_path, data):
+    own = model.load(problem_with(tmp_path, data))
+    assert own.links.tolist() == LINES
+    assert not own.directed
+    assert own.names == ("a", "b", "c")
+
+
+def test_arrows_of_a_drawing_give_way_to_the_problem(tmp_path):
+    data = ARROWS + NODES + PATH + TAIL
+    own = model.load(problem_with(tmp_path, data, directed=False))
+    assert not own.directed
+    assert (own.adjacency != own.adjacency.T).nnz == 0
+    assert own.links.tolist() == LINES
+    assert model.load(problem_with(tmp_path, data)).directed
+
+
+def test_a_line_without_an_arrow_among_arrows_works_both_ways(tmp_path):
+    own = model.load(problem_with(tmp_path, ARROWS + NODES + PATH.replace(b"/>", b' directed="false"/>', 1) + TAIL))
+    assert own.directed
+    assert own.links.tolist() == [[0, 1], [1, 0], [1, 2]]
+
+
+def test_labels_and_places_of_an_editor(tmp_path):
+    def shape(label: str, x: int) -> bytes:
+        return (
+            f'<data key="d6"><y:ShapeNode><y:Geometry x="{x}" y="2.5"/><y:NodeLabel fontSize="12"> {label}'
+            "<y:LabelModel>not this</y:LabelModel></y:NodeLabel></y:ShapeNode></data></node>"
+        ).encode()
+
+    head = HEAD.replace(b"<graph ", b'<key for="node" id="d6" yfiles.type="nodegraphics"/><graph ').replace(
+        b"<graphml ", b'<graphml xmlns:y="http://www.yworks.com/xml/graphml" '
+    )
+    nodes = [NODES.replace(b"/>", b">").split(b"<node")[k + 1] for k in range(3)]
+
+    def drawing(*labels: str) -> bytes:
+        drawn = [b"<node" + node + shape(label, k) for k, (node, label) in enumerate(zip(nodes, labels, strict=True))]
+        return head + b"".join(drawn) + PATH + TAIL
+
+    own = model.load(problem_with(tmp_path, drawing("north", "east\n side", "south")))
+    assert own.names == ("north", "east side", "south")
+    assert own.positions is not None
+    assert own.positions.tolist() == [[0.0, 2.5], [1.0, 2.5], [2.0, 2.5]]
+    alike = model.load(problem_with(tmp_path, drawing("pump", "pump", "valve")))
+    assert alike.names == ("a", "b", "c")
+
+
+def test_names_must_tell_nodes_apart():
+    with pytest.raises(InputError, match=r"network\.names\[2\] is 'a', which names\[0\] is already"):
+        network(edges=[], names=["a", "b", "a"])
 
 
 def test_a_long_name_in_graphml_is_cut_short(tmp_path):

@@ -297,3 +297,44 @@ def test_strings_in_double_quotes_are_not_read():
     opaque = element(6, struct.pack("<II", 17, 0)) + element(1, b"x")
     with pytest.raises(InputError, match="holds 'x', an object, such as a string in double quotes"):
         read_mat(mat(element(14, opaque)))
+
+
+def packed(data: bytes) -> bytes:
+    """A compressed element, which nothing fills up to eight bytes."""
+    inside = zlib.compress(data)
+    return struct.pack("<II", 15, len(inside)) + inside
+
+
+def test_what_unpacks_to_a_thousand_times_its_size_is_not_unpacked():
+    zeros = array(6, 0, (1, 2**23), element(9, bytes(2**26)))
+    with pytest.raises(InputError, match=r"would unpack .* KiB to .* MiB, more than 100 times as much"):
+        read_mat(mat(packed(zeros)))
+    small = [array(6, 0, (1, 2**20), element(9, bytes(2**23)), name=b"x%d" % i) for i in range(9)]
+    assert read_mat(mat(packed(small[0])))["x0"].shape == (1, 2**20)
+    with pytest.raises(InputError, match="more than 100 times as much"):  # each of them would do
+        read_mat(mat(*map(packed, small)))
+    bytes_of_doubles = array(6, 0, (1, 2**23), element(2, bytes(2**23)))
+    with pytest.raises(InputError, match="more than 100 times as much"):  # stored as bytes, meant as doubles
+        read_mat(mat(packed(bytes_of_doubles)))
+
+
+def test_a_name_that_stands_twice_is_refused():
+    with pytest.raises(InputError, match="holds 'x' twice"):
+        read_mat(mat(*[array(6, 0, (1, 1), element(9, bytes(8)))] * 2))
+
+
+def test_compressed_elements_hold_one_array():
+    nested = array(6, 0, (1, 1), element(9, bytes(8)))
+    for _ in range(3000):
+        nested = packed(nested)
+    with pytest.raises(InputError, match="an element of type 15 stands where a variable was expected"):
+        read_mat(mat(nested))
+    longer = array(6, 0, (1, 1), element(9, bytes(8))) + bytes(8)
+    with pytest.raises(InputError, match="a compressed element is not as long as it says"):
+        read_mat(mat(packed(longer)))
+
+
+def test_a_sparse_matrix_is_not_made_full_beyond_what_it_can_mean(tmp_path):
+    path = saved(tmp_path, **{**THERE, "A": sparse.csc_array((4000, 4000))}, edges=[[1, 2]])
+    with pytest.raises(InputError, match="A is sparse and 4000 x 4000; a matrix of real numbers was expected"):
+        SensorNetwork.from_mat(path)

@@ -222,8 +222,8 @@ def test_shapes_alone_are_a_shape_error():
 def test_many_bad_sensors_are_counted():
     with pytest.raises(InputError) as caught:
         SensorNetwork(A=[[0.5]], B=[[1.0]], C=np.ones((90, 1, 1)), R=np.zeros((90, 1, 1)), edges=[])
-    assert len(caught.value.complaints) == 51
-    assert str(caught.value.complaints[-1]) == "sensors have 40 more matrices R or D that cannot be used"
+    assert len(caught.value.complaints) == 21
+    assert str(caught.value.complaints[-1]) == "has 70 more complaints"
 
 
 def test_nodes_that_do_not_exist_have_no_sensor():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -137,3 +140,75 @@ def test_a_problem_file_is_not_its_own_archive(tmp_path):
 def test_asking_writes_nothing(tmp_path):
     check_writable(tmp_path / "x.txt")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_killed_writers_left_is_removed_by_the_next_write(tmp_path):
+    stale = tmp_path / ".tolnet-0123456789ab.part"
+    others = [tmp_path / name for name in (".tolnet-notes", "a.part", ".tolnet-x.part.bak")]
+    for path in (stale, *others):
+        path.write_bytes(b"half")
+    (tmp_path / ".tolnet-folder.part").mkdir()
+    (tmp_path / ".tolnet-link.part").symlink_to("a.part")
+    os.mkfifo(tmp_path / ".tolnet-pipe.part")
+    with replacing(tmp_path / "x.txt") as file:
+        file.write(b"new")
+    assert not stale.exists()
+    assert all(path.read_bytes() == b"half" for path in others)
+    assert len(list(tmp_path.iterdir())) == len(others) + 4
+
+
+def test_what_is_being_written_is_not_stale(tmp_path):
+    with replacing(tmp_path / "slow.txt") as slow:
+        slow.write(b"slow")
+        with replacing(tmp_path / "fast.txt") as fast:
+            fast.write(b"fast")
+        assert len(list(tmp_path.glob(".tolnet-*.part"))) == 1
+    assert (tmp_path / "slow.txt").read_bytes() == b"slow"
+    assert (tmp_path / "fast.txt").read_bytes() == b"fast"
+
+
+def test_another_process_that_is_killed_leaves_what_the_next_write_removes(tmp_path):
+    program = (
+        "import pathlib, sys, time; from tolnet.model import replacing\n"
+        "with replacing(pathlib.Path(sys.argv[1])) as file:\n    print('open', flush=True)\n    time.sleep(600)\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "theirs.txt")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == b"open\n"
+        with replacing(tmp_path / "ours.txt"):
+            assert len(list(tmp_path.glob(".tolnet-*.part"))) == 2
+        writer.kill()
+    assert len(list(tmp_path.glob(".tolnet-*.part"))) == 1
+    with replacing(tmp_path / "ours.txt"):
+        pass
+    assert list(tmp_path.iterdir()) == [tmp_path / "ours.txt"]
+
+
+def test_a_file_taken_for_stale_before_its_lock_is_begun_again(tmp_path, monkeypatch):
+    """Somebody may remove what is created and not yet locked; the writer then takes another name."""
+    lock, removed = fcntl.flock, []
+
+    def flock(handle: int, operation: int) -> None:
+        if not removed:
+            removed.extend(tmp_path.glob(".tolnet-*.part"))
+            removed[0].unlink()
+        lock(handle, operation)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with replacing(tmp_path / "x.txt") as file:
+        file.write(b"new")
+    assert len(removed) == 1
+    assert (tmp_path / "x.txt").read_bytes() == b"new"
+
+
+def test_where_there_are_no_locks_nothing_is_removed(tmp_path, monkeypatch):
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    (tmp_path / ".tolnet-0123456789ab.part").write_bytes(b"half")
+    with replacing(tmp_path / "x.txt") as file:
+        file.write(b"new")
+    assert (tmp_path / "x.txt").read_bytes() == b"new"
+    assert (tmp_path / ".tolnet-0123456789ab.part").exists()

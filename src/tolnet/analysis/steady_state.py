@@ -68,8 +68,8 @@ def solve_local_steady_states(
     """The steady states of every node's filter at its own tolerance (gamma scale): a stack of N, eqs. (12), (44).
 
     Nodes that miss a mode which does not decay come back `undetectable`, and all as `unstabilisable` where the noise
-    misses one on the unit circle; `refused` (N,) holds further statuses known beforehand. `refine` gives the tolerance
-    of a node that is solved in extended precision, to its last digit.
+    misses one on the unit circle; `refused` (N,) holds further statuses known beforehand. `refine` gives the
+    tolerance of a node that is solved in extended precision, to its last digit.
     """
     seen = detectability(network)
     status = np.array([_status_before(seen.stabilisable, bool(good)) for good in seen.detectable], dtype="U16")

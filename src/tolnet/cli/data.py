@@ -42,14 +42,15 @@ def estimate_tolerance(
     """
     from tolnet.analysis.data import tolerance_from_data
     from tolnet.model import Ambiguity, InputError, UnsupportedError, gamma_per
+    from tolnet.model.bounded_reading import LARGEST_ARCHIVE, read_whole
 
     own = network.ambiguity or Ambiguity(0.0)
     family = own.tau if tau is None else tau
     if family != 0:
         raise UnsupportedError(f"--data estimates a tolerance for tau = 0 only (tau is {family:g}); add --tau 0")
     unit = convention or own.convention
-    content = path.read_bytes()
     try:
+        content = read_whole(path, LARGEST_ARCHIVE)
         with console.progress(f"estimating from {path}"):
             estimate = tolerance_from_data(network, _record(content), method=method)
     except InputError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import tomllib
 from collections.abc import Iterable, Sequence
@@ -68,27 +69,36 @@ def check_outputs(
     wanted = [(path, formats) for path in paths] + ([(plot, PLOT_SUFFIXES)] if plot is not None else [])
     if not wanted:
         return
-    taken = {path.resolve(): "is an input of this command" for name in inputs for path in _files_of(Path(name))}
+    files = (path for name in inputs for path in _files_of(Path(name)))
+    taken = {os.path.realpath(path): "is an input of this command" for path in files}
     for path, known in wanted:
         if path.suffix.lower() not in known:
             found = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
             raise InputError(f"has {found}; {' or '.join(known)} was expected", source=str(path))
-        if path.resolve() in taken:
-            raise InputError(f"cannot be written: it {taken[path.resolve()]}", source=str(path))
         check_writable(path)
-        taken[path.resolve()] = "is given twice"
+        place = os.path.realpath(path)
+        if place in taken:
+            raise InputError(f"cannot be written: it {taken[place]}", source=str(path))
+        taken[place] = "is given twice"
 
 
 def _files_of(problem: Path) -> Iterable[Path]:
     """An input and the side archive that it names, as far as that can be told without judging it."""
+    from tolnet.model.bounded_reading import LARGEST_PROBLEM, read_whole
+
+    if "\0" in str(problem):  # the name of no file; opening it will say so
+        return
     yield problem
-    if problem.suffix.lower() in (".mat", ".json", ".csv", ".npz") or not problem.is_file():
+    if problem.suffix.lower() in (".mat", ".json", ".csv", ".npz"):
         return
     try:
-        arrays = tomllib.loads(problem.read_text(encoding="utf-8")).get("arrays")
+        beginning = read_whole(problem, LARGEST_PROBLEM).partition(b"\n[")[
+            0
+        ]  # keys of no table come before the first
+        arrays = tomllib.loads(beginning.decode()).get("arrays")
     except (ValueError, RecursionError):  # loading the problem will say what is wrong with it
         return
-    if isinstance(arrays, str):
+    if isinstance(arrays, str) and "\0" not in arrays:
         yield problem.parent / arrays
 
 
@@ -132,7 +142,7 @@ def _find(name: str, console: Console) -> SensorNetwork | CorruptedNetwork:
     from tolnet import model
 
     path = Path(name)
-    if path.exists():
+    if _is_there(path):
         with console.progress(f"reading {name}"), warnings.catch_warnings(record=True) as loose:
             warnings.simplefilter("always", model.LooseBoundWarning)
             mat = path.suffix.lower() == ".mat"
@@ -146,6 +156,15 @@ def _find(name: str, console: Console) -> SensorNetwork | CorruptedNetwork:
     raise model.InputError(
         f"no such file, and no built-in problem{nearest(name, model.example_names())}", source=name
     )
+
+
+def _is_there(path: Path) -> bool:
+    """Whether anything has that name, also a link that leads nowhere or in a circle. Raises OSError if none can."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return False
+    return True
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

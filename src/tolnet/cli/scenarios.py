@@ -13,6 +13,7 @@ from numpy import ndarray
 from tolnet.certificates.switching import Scenario
 from tolnet.model import Complaint, InputError
 from tolnet.model._checks import Complaints
+from tolnet.model.bounded_reading import LARGEST_TEXT, read_whole, text_of
 from tolnet.model.graph import weights_of_triples
 
 if TYPE_CHECKING:
@@ -32,9 +33,9 @@ def read_scenarios(path: Path, deployed: Deployed) -> list[Scenario]:
     Raises InputError, naming the file and the key path, for everything else.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", source=str(path)) from None
+        document = json.loads(text_of(read_whole(path, LARGEST_TEXT)))
+    except InputError as error:
+        raise InputError(error.complaints, source=str(path)) from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"is no JSON: {error}", source=str(path)) from None
     listed = document.get("scenarios") if isinstance(document, dict) else document

@@ -32,10 +32,11 @@ def validate(problem: Problem, output: Outputs = None, json: AsJson = False, qui
         complaints = _refused_by_design(network)
     except InputError as error:
         complaints = list(error.complaints)
-    document = _document(network if not complaints else None, complaints)
-    for path in output or []:
-        write(path, [render(document)])
-    console.document([render(document)])
+    if output or json:  # rendering brings in all that designs, which a bad file need not wait for
+        text = render(_document(network if not complaints else None, complaints))
+        for path in output or []:
+            write(path, [text])
+        console.document([text])
     if complaints:
         complain(f"{problem}: {complaint}" for complaint in complaints)
         raise typer.Exit(BAD_INPUT)

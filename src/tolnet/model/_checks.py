@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from tolnet.model.errors import Complaint, InputError, ShapeError
+from tolnet.model.errors import MOST_COMPLAINTS, Complaint, InputError, Remainder, ShapeError
 
-MOST_OF_A_KIND = 50
+MOST_OF_A_KIND = MOST_COMPLAINTS
 """How many complaints of one kind are written out before the rest are only counted."""
+MOST_KEPT = 1000
+"""How many complaints are kept; they are sorted, and some are dropped, before the first of them are told."""
+LONGEST_WORD = 60
+"""How many characters of a text a message quotes, and how many count when the nearest known word is sought."""
 
 _UNWRITABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
@@ -25,28 +29,44 @@ class Complaints:
     def __init__(self) -> None:
         self.found: list[Complaint] = []
         self.only_shapes = True
+        self.untold = 0
 
     def add(self, key: str, message: str, *, shape: bool = False) -> None:
         """Note that `key` is wrong; `shape` says that only shapes are to blame."""
-        self.found.append(Complaint(key, message))
+        self.keep(Complaint(key, message))
         self.only_shapes &= shape
 
     def add_each(self, pairs: Iterable[tuple[str, str]], count: int) -> None:
         """Note `count` complaints of one kind, of which only the first `MOST_OF_A_KIND` are written out."""
         for i, (key, message) in enumerate(pairs):
             if i == MOST_OF_A_KIND:
-                self.add(key.partition("[")[0], f"has {count - i} more complaints of this kind")
+                self.more(count - i)
                 break
             self.add(key, message)
 
+    def more(self, count: int) -> None:
+        """Note `count` complaints that are not written out."""
+        self.untold += count
+
     def extend(self, error: InputError) -> None:
         """Note everything that an error carries."""
-        self.found.extend(error.complaints)
+        for each in error.kept:
+            self.keep(each)
         self.only_shapes &= isinstance(error, ShapeError)
+
+    def keep(self, complaint: Complaint) -> None:
+        """Note a complaint, or a number of them."""
+        if isinstance(complaint, Remainder):
+            self.more(complaint.count)
+        elif len(self.found) < MOST_KEPT:
+            self.found.append(complaint)
+        else:
+            self.more(1)
 
     def error(self, source: str | None = None) -> InputError:
         """One InputError (ShapeError where only shapes are wrong) that carries everything found."""
-        return (ShapeError if self.only_shapes else InputError)(self.found, source=source)
+        rest = [Remainder("", "", self.untold)] if self.untold else []
+        return (ShapeError if self.only_shapes else InputError)([*self.found, *rest], source=source)
 
     def raise_if_any(self) -> None:
         """Raise that error, if anything was found."""
@@ -56,14 +76,18 @@ class Complaints:
 
 def real_array(value: Any, key: str, complaints: Complaints) -> ndarray | None:
     """A private, contiguous copy of `value` in doubles; None, with a complaint, if it is no array of numbers."""
+    reason = no_number_in(value)
     try:
+        if reason:
+            raise TypeError
         given = np.asarray(value)
-        if given.dtype.kind not in "iuf" or (isinstance(value, list | tuple) and holds_truth(value)):
+        if given.dtype.kind not in "iuf":
+            reason = f"its type is {_TYPES.get(given.dtype.kind, given.dtype)}"
             raise TypeError
         with np.errstate(over="ignore"):  # an overflow is found below, as an infinity
             array = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        complaints.add(key, "is not a rectangular array of real numbers")
+        complaints.add(key, "is not a rectangular array of real numbers" + (f": {reason}" if reason else ""))
         return None
     if not np.isfinite(array).all():
         first = np.argwhere(~np.isfinite(array))[0]
@@ -73,11 +97,40 @@ def real_array(value: Any, key: str, complaints: Complaints) -> ndarray | None:
     return array
 
 
-def holds_truth(value: Any) -> bool:
-    """Whether there is a boolean anywhere in nested lists; NumPy would silently take it for 0 or 1."""
-    if isinstance(value, list | tuple):
-        return any(map(holds_truth, value))
-    return isinstance(value, bool | np.bool_) or (isinstance(value, ndarray) and value.dtype.kind == "b")
+_TYPES = {"b": "bool (true and false)", "c": "complex", "U": "text", "S": "bytes"}
+"""NumPy's kinds of what is no real number, in words."""
+
+
+_NO_NUMBERS = (bool, np.bool_, str, bytes, dict, type(None))
+_LARGEST_EXPONENT = np.finfo(float).maxexp
+"""An integer of more bits is no double."""
+
+
+def no_number_in(value: Any) -> str:
+    """What in nested lists is no number, for a message; empty where NumPy may look for itself.
+
+    Asked before NumPy is, which would make room for the longest text as often as there are entries.
+    """
+    if not isinstance(value, list | tuple):
+        return ""
+    for item in value:
+        if isinstance(item, list | tuple):
+            if found := no_number_in(item):
+                return found
+        elif isinstance(item, _NO_NUMBERS) or (isinstance(item, int) and item.bit_length() > _LARGEST_EXPONENT):
+            return f"it holds {shown(item)}"
+        elif isinstance(item, ndarray) and item.dtype.kind not in "iuf":
+            return f"it holds an array whose type is {_TYPES.get(item.dtype.kind, item.dtype)}"
+    return ""
+
+
+def numbers(value: Any) -> ndarray:
+    """NumPy's array of a value; an empty one of objects where the value is no rectangular array of numbers."""
+    try:
+        found = np.empty(0, dtype=object) if no_number_in(value) else np.asarray(value)
+    except ValueError:
+        return np.empty(0, dtype=object)
+    return found
 
 
 def shaped(value: Any, shape: tuple[int | None, ...], key: str, meant: str, complaints: Complaints) -> ndarray | None:
@@ -193,9 +246,22 @@ def labels(value: Any, count: int | None, key: str, meant: str, complaints: Comp
         return None
     if _UNWRITABLE.search("".join(given)):
         bad = next(i for i, x in enumerate(given) if _UNWRITABLE.search(x))
-        complaints.add(f"{key}[{bad}]", f"is {given[bad]!r}; text without control characters was expected")
+        complaints.add(f"{key}[{bad}]", f"is {shown(given[bad])}; text without control characters was expected")
         return None
     return tuple(given)
+
+
+def distinct(names: tuple[str, ...] | None, key: str, complaints: Complaints) -> None:
+    """Complain about each name that an earlier one is too: what is called alike cannot be told apart."""
+    if names is None or len(set(names)) == len(names):
+        return
+    first: dict[str, int] = {}
+    again = [(i, name) for i, name in enumerate(names) if first.setdefault(name, i) != i]
+    each = (
+        (f"{key}[{i}]", f"is {shown(name)}, which {key.rpartition('.')[2]}[{first[name]}] is already")
+        for i, name in again
+    )
+    complaints.add_each(each, len(again))
 
 
 def text(value: Any, key: str, complaints: Complaints, *, lines: bool = False) -> None:
@@ -214,10 +280,16 @@ def shown(value: Any) -> str:
     if isinstance(value, int | float | np.integer | np.floating):
         return str(value)
     if isinstance(value, str):
-        return repr(value) if len(value) <= 60 else f"{value[:57]!r}..."
+        return repr(value) if len(value) <= LONGEST_WORD else f"{value[: LONGEST_WORD - 3]!r}..."
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     return {dict: "a table", type(None): "nothing"}.get(type(value), f"of type {type(value).__name__}")
+
+
+def shown_key(key: str) -> str:
+    """A key as a path quotes it: bare where it may be, and not too long."""
+    bare = re.fullmatch(r"[\w-]+", key) and len(key) <= LONGEST_WORD
+    return key if bare else shown(key)
 
 
 def counted(count: int, what: str) -> str:
@@ -230,17 +302,9 @@ def there_are(count: int, what: str) -> str:
     return f"there {'is' if count == 1 else 'are'} {counted(count, what)}"
 
 
-def unreadable(error: OSError | ValueError) -> str:
-    """Why a file cannot be read; a ValueError is about a name that no file can have."""
-    if isinstance(error, IsADirectoryError):
-        return "is a directory; a file was expected"
-    if isinstance(error, FileNotFoundError):
-        return "does not exist"
-    return f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
-
-
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Which of the `known` words looks most like `word`, whatever the case."""
+    """Which of the `known` words looks most like `word`, whatever the case; of a long one the beginning counts."""
+    word = word[:LONGEST_WORD]
 
     def likeness(candidate: str) -> tuple[float, bool]:
         ratio = difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()

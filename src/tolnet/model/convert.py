@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import re
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from tolnet.model._checks import Complaints, shown
-from tolnet.model.errors import InputError
+from tolnet.model._checks import Complaints
 
 if TYPE_CHECKING:
     import networkx
@@ -33,36 +30,6 @@ def plant_matrices(plant: Any, B: Any, Q: Any, dt: Any, complaints: Complaints) 
         dt = base
     factor = plant.B if B is None and Q is None else B
     return plant.A, factor, dt
-
-
-def read_graphml(data: bytes) -> networkx.Graph:
-    """The graph of a GraphML file.
-
-    Raises InputError for what is no GraphML, for a graph without nodes, and for an edge to a node that is not there.
-    """
-    from xml.etree import ElementTree
-
-    import networkx
-
-    malformed = (ElementTree.ParseError, networkx.NetworkXException, *_MALFORMED)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about attributes of no type and ports, of which nothing is read here
-            graph = networkx.read_graphml(io.BytesIO(data))
-        elements = ElementTree.fromstring(data).iter()
-        declared = {element.get("id") for element in elements if str(element.tag).endswith("}node")}
-    except malformed as error:
-        raise InputError(f"is no GraphML: {error or type(error).__name__}") from None
-    strangers = [node for node in graph if node not in declared]
-    if strangers:
-        raise InputError(f"has an edge to the node {shown(strangers[0])}, which it does not have")
-    if not len(graph):
-        raise InputError("has no nodes")
-    return graph
-
-
-_MALFORMED = (AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What networkx raises on bytes that are no GraphML: it looks into elements without asking whether they are there."""
 
 
 def nodes_of_graph(graph: networkx.Graph) -> list[Any]:
@@ -116,14 +83,14 @@ _COORDINATES = (("x", "y"), ("longitude", "latitude"))
 def names_of_graph(graph: networkx.Graph) -> tuple[str, ...] | None:
     """What the nodes are called: their attribute `name` or `label`, else themselves where they are text or numbers.
 
-    None where neither is so for every node, or where the number is only the node's place.
+    None where neither is so for every node, or where the number is only the node's place. Attributes that two nodes
+    share, as the labels of a drawing may, are no names.
     """
     nodes = nodes_of_graph(graph)
     for key in ("name", "label"):
-        found = [graph.nodes[node].get(key) for node in nodes]
-        names = tuple(name for name in found if isinstance(name, str) and name)
-        if len(names) == len(found):
-            return names
+        names = {name: None for node in nodes if isinstance(name := graph.nodes[node].get(key), str) and name}
+        if len(names) == len(nodes):
+            return tuple(names)
     names = tuple(str(node) for node in nodes if isinstance(node, str) or _whole_number(node) is not None)
     said = len(names) == len(nodes) and any(name != str(i) for i, name in enumerate(names))
     return names if said else None

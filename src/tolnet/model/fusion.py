@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from tolnet.model._checks import Complaints, by, nearest, shown
+from tolnet.model._checks import Complaints, by, nearest, numbers, shown
 from tolnet.model.graph import read_only
 
 FUSION_RULES = ("uniform", "metropolis")
@@ -33,10 +33,7 @@ def parse_fusion(fusion: Any, adjacency: sparse.csr_array, complaints: Complaint
         return read_only(_by_rule(fusion, heard))
     key, N = "fusion.weights", len(adjacency.indptr) - 1
     if not sparse.issparse(fusion):
-        try:
-            fusion = np.asarray(fusion)
-        except ValueError:
-            fusion = np.empty(0, dtype=object)
+        fusion = numbers(fusion)
     if fusion.dtype.kind not in "iuf" or fusion.ndim != 2:
         complaints.add(key, "is not an N x N matrix of numbers")
     elif fusion.shape != (N, N):

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.model._checks import Complaints, by, counted, frozen, holds_truth, nearest, shown, there_are
+from tolnet.model._checks import Complaints, by, counted, frozen, nearest, numbers, shown, there_are
 
 DIFFUSION_RULES = (
     "relative-degree",
@@ -65,10 +65,7 @@ def _links_of_matrix(adjacency: Any, N: int, complaints: Complaints) -> Int[ndar
     """Where a dense or sparse N x N matrix is not zero; None, with a complaint, if it is not that."""
     key = "network.adjacency"
     if not sparse.issparse(adjacency):
-        try:
-            adjacency = np.asarray(adjacency)
-        except ValueError:
-            adjacency = np.empty(0, dtype=object)
+        adjacency = numbers(adjacency)
     if adjacency.dtype.kind not in "biuf" or adjacency.ndim != 2:
         complaints.add(key, "is no matrix of numbers and no networkx graph")
         return None
@@ -89,13 +86,10 @@ def adjacency_of_edges(edges: Any, directed: bool, N: int, complaints: Complaint
     Links that are given twice are complained about too.
     """
     key = "network.edges"
-    try:
-        pairs = np.asarray(edges)
-    except ValueError:
-        pairs = np.empty(0, dtype=object)
+    pairs = numbers(edges)
     if pairs.size == 0 and pairs.dtype != object:
         pairs = _NO_LINKS
-    if pairs.ndim != 2 or pairs.shape[-1] != 2 or pairs.dtype.kind not in "iu" or holds_truth(edges):
+    if pairs.ndim != 2 or pairs.shape[-1] != 2 or pairs.dtype.kind not in "iu":
         complaints.add(key, "is not a list of pairs of node indices")
         return None
     strange = ((pairs < 0) | (pairs >= N)).any(axis=1)
@@ -170,10 +164,7 @@ def parse_diffusion(
         return diffusion
     key = "diffusion.weights"
     if not sparse.issparse(diffusion):
-        try:
-            diffusion = np.asarray(diffusion)
-        except ValueError:
-            diffusion = np.empty(0, dtype=object)
+        diffusion = numbers(diffusion)
     if diffusion.dtype.kind not in "iuf" or diffusion.ndim != 2:
         complaints.add(key, "is not an N x N matrix of numbers")
         return default

@@ -15,6 +15,8 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
+from tolnet.model._checks import shown
+from tolnet.model.bounded_reading import check_inflation
 from tolnet.model.errors import InputError
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -26,6 +28,8 @@ MATRIX, COMPRESSED = 14, 15
 CELL, CHAR, SPARSE = 1, 4, 5
 OPAQUE = 17
 OTHERS = {2: "a structure", 3: "an object", 16: "a function", OPAQUE: "an object, such as a string in double quotes"}
+_TAG = 8
+"""Bytes before the data of an element: its type and size."""
 DEEPEST = 20
 """How deep cells may hold cells."""
 
@@ -42,9 +46,9 @@ def read_mat(data: bytes) -> dict[str, Any]:
     mark = data[126:128]
     if len(data) < 128 or mark not in (b"IM", b"MI"):
         raise InputError("is no MATLAB file of format 5 to 7; save it with -v7")
-    reader = _Reader("<" if mark == b"IM" else ">")
+    reader = _Reader("<" if mark == b"IM" else ">", len(data))
     try:
-        return dict(reader.variables(data[128:]))
+        return reader.named(data[128:])
     except (zlib.error, _Damaged, UnicodeDecodeError) as error:
         raise InputError(f"is a damaged MATLAB file: {error}") from None
 
@@ -56,20 +60,48 @@ class _Damaged(Exception):
 class _Reader:
     """Reads elements in one byte order."""
 
-    def __init__(self, order: str) -> None:
-        self.order = order
+    def __init__(self, order: str, size: int) -> None:
+        self.order, self.size = order, size
+        self.unpacked = 0
+
+    def named(self, data: bytes) -> dict[str, Any]:
+        """Every variable by its name. Raises InputError where a name stands twice."""
+        found: dict[str, Any] = {}
+        for name, value in self.variables(data):
+            if name in found:
+                raise InputError(f"holds {shown(name)} twice")
+            found[name] = value
+        return found
 
     def variables(self, data: bytes) -> Iterator[tuple[str, Any]]:
         """Every named array, compressed or not."""
         for kind, part in self.elements(data):
             if kind == COMPRESSED:
-                yield from self.variables(zlib.decompress(part))
-            elif kind == MATRIX:
-                name, value = self.matrix(part, 0)
-                if name:  # what has none is MATLAB's own
-                    yield name, value
-            else:
+                kind, part = self.inflated(part)
+            if kind != MATRIX:
                 raise _Damaged(f"an element of type {kind} stands where a variable was expected")
+            name, value = self.matrix(part, 0)
+            if name:  # what has none is MATLAB's own
+                yield name, value
+
+    def inflated(self, data: bytes) -> tuple[int, bytes]:
+        """The one element in a compressed one, whose size is judged before it is unpacked."""
+        stream = zlib.decompressobj()
+        head = stream.decompress(data, _TAG)
+        if len(head) < _TAG:
+            raise _Damaged("it ends in the middle of an element")
+        kind, size = (int(x) for x in np.frombuffer(head, self.order + "u4", 2))
+        self.take(size)
+        part = stream.decompress(stream.unconsumed_tail, size) if size else b""
+        more = stream.decompress(stream.unconsumed_tail, 1)
+        if len(part) != size or more or not stream.eof:
+            raise _Damaged("a compressed element is not as long as it says")
+        return kind, part
+
+    def take(self, size: int) -> None:
+        """Account for so many bytes of memory. Raises InputError where they grow beyond what the file can mean."""
+        self.unpacked += size
+        check_inflation(self.unpacked, self.size)
 
     def elements(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Type and data of each element, one after the other; short ones carry both in eight bytes."""
@@ -122,6 +154,7 @@ class _Reader:
         stored = np.dtype(self.order + NUMBERS[kind]) if kind in NUMBERS else None
         if stored is None or len(data) % stored.itemsize:
             raise _Damaged(f"an element of type {kind} and {len(data)} bytes stands where numbers were expected")
+        self.take(len(data) // stored.itemsize * np.dtype(wanted).itemsize)
         return np.frombuffer(data, stored).astype(wanted)
 
     def text(self, parts: Iterator[tuple[int, bytes]]) -> str:

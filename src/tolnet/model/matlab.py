@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 from scipy import sparse
 
-from tolnet.model._checks import Complaints, by, nearest, shown
+from tolnet.model._checks import Complaints, by, nearest, shown, shown_key
 from tolnet.model.ambiguity import CONVENTIONS, Ambiguity
 from tolnet.model.errors import InputError
 from tolnet.model.matfile import read_mat
@@ -30,7 +30,7 @@ MEANT = {
     TEXTS: "a text",
     LISTS: "a cell array of texts",
 }
-LARGEST_FULL = 10**8
+LARGEST_FULL = 10**7
 """How many numbers a sparse matrix may stand for that is needed in full."""
 
 KNOWN = tuple(name for group in MEANT for name in group)
@@ -40,9 +40,12 @@ def arguments_of_mat(data: bytes) -> dict[str, Any]:
     """The arguments of `SensorNetwork` that the bytes of a MATLAB file give; see `SensorNetwork.from_mat`."""
     variables = read_mat(data)
     complaints = Complaints()
-    for name in variables.keys() - set(KNOWN):
-        hint = f"the nearest is {nearest(name, KNOWN)!r}; save only the network's variables"
-        complaints.add(name, f"is no known variable; {hint}")
+    strange = [name for name in variables if name not in KNOWN]
+    hints = (
+        (shown_key(name), f"the nearest is {nearest(name, KNOWN)!r}; save only the network's variables")
+        for name in strange
+    )
+    complaints.add_each(((name, f"is no known variable; {hint}") for name, hint in hints), len(strange))
     values = {name: _value(name, variables[name], complaints) for name in KNOWN if name in variables}
     needed = {"A", "C"} | ({"tolerance"} if {"tau", "convention"} & values.keys() else set())
     for name in sorted(needed - values.keys()):

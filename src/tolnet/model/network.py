@@ -18,6 +18,7 @@ from tolnet.model import _checks as checks
 from tolnet.model import sensors
 from tolnet.model._checks import Complaints, frozen
 from tolnet.model.ambiguity import Ambiguity
+from tolnet.model.bounded_reading import LARGEST_ARCHIVE, read_whole
 from tolnet.model.errors import InputError
 from tolnet.model.graph import DIFFUSION_RULES, parse_adjacency, parse_diffusion
 from tolnet.model.nodes import Nodes, parse_nodes
@@ -144,11 +145,7 @@ class SensorNetwork(Nodes):
         from tolnet.model.matlab import arguments_of_mat
 
         try:
-            data = Path(path).read_bytes()
-        except (OSError, ValueError) as error:
-            raise InputError(checks.unreadable(error), source=str(path)) from None
-        try:
-            return cls(**arguments_of_mat(data))
+            return cls(**arguments_of_mat(read_whole(path, LARGEST_ARCHIVE)))
         except InputError as error:
             raise type(error)(error.complaints, source=str(path)) from None
 

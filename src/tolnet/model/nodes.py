@@ -85,9 +85,11 @@ def parse_nodes(
         positions = checks.shaped(positions, (N, None), "network.positions", meant, complaints)
         if positions is not None and positions.shape[1] not in (2, 3):
             complaints.add("network.positions", f"is {checks.by(positions.shape)}; {meant} was expected", shape=True)
+    names = checks.labels(names, N, "network.names", checks.there_are(N, "node"), complaints)
+    checks.distinct(names, "network.names", complaints)
     return {
         "directed": directed,
         "adjacency": graph,
         "positions": positions,
-        "names": checks.labels(names, N, "network.names", checks.there_are(N, "node"), complaints),
+        "names": names,
     }

@@ -1,21 +1,17 @@
-"""The problem file, version 1, as pydantic models: its keys, their types, and what is said about a wrong one.
+"""The problem file, version 1, as pydantic models: its keys and their types.
 
 Only the form is judged here; whether matrices fit each other is for `SensorNetwork` to say.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic.json_schema import GenerateJsonSchema
 
-from tolnet.model._checks import nearest, shown
 from tolnet.model.ambiguity import Convention
 from tolnet.model.channels import ChannelNoise, Fading, Noise
-from tolnet.model.errors import Complaint
 from tolnet.model.fusion import FUSION_RULES
 from tolnet.model.graph import DIFFUSION_RULES
 
@@ -278,7 +274,7 @@ class Problem(_Table):
     simulation: Simulation | None = Field(None, description="the table [simulation]")
 
 
-_TABLES: dict[str, type[_Table]] = {
+TABLES: dict[str, type[BaseModel]] = {
     "plant": Plant,
     "network": Network,
     "sensors": Sensor,
@@ -288,21 +284,7 @@ _TABLES: dict[str, type[_Table]] = {
     "fusion": Fusion,
     "simulation": Simulation,
 }
-_FORMS = {
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "string_type": "a text",
-    "string_unicode": "a text",
-    "bool_type": "true or false",
-    "list_type": "a list",
-    "model_type": "a table",
-    "model_attributes_type": "a table",
-    "dict_type": "a table",
-    "too_short": "a pair",
-    "too_long": "a pair",
-}
-_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than_equal": ("<=", "le")}
+"""The tables by their names in a file."""
 
 
 class _SchemaOfToml(GenerateJsonSchema):
@@ -325,72 +307,3 @@ def problem_schema() -> dict[str, Any]:
     """The JSON Schema of the problem file, generated from the models above."""
     own = Problem.model_json_schema(by_alias=True, schema_generator=_SchemaOfToml)
     return {"$schema": _SchemaOfToml.schema_dialect, **own}
-
-
-def complaints_about_form(mapping: dict[Any, Any]) -> list[tuple[str, Complaint]]:
-    """What is wrong with the keys and types of a problem file, each with the key of the value to blame.
-
-    Several entries of one matrix that are wrong in the same way make one complaint.
-    """
-    try:
-        Problem.model_validate(mapping)
-    except ValidationError as error:
-        return list(_translated(error.errors(include_url=False)))
-    return []
-
-
-def _translated(errors: Iterable[Any]) -> Iterator[tuple[str, Complaint]]:
-    first: dict[tuple[Any, ...], Any] = {}
-    count: dict[tuple[Any, ...], int] = {}
-    for error in errors:
-        place = tuple(x for x in error["loc"] if not (isinstance(x, str) and re.fullmatch(r"\*\w+\*", x)))
-        base = place[: 3 if place[0] == "sensors" else 2]
-        kind = (*base, error["type"])
-        first.setdefault(kind, (place, base, error))
-        count[kind] = count.get(kind, 0) + 1
-    for kind, (place, base, error) in first.items():
-        others = count[kind] - 1
-        more = f" (and so for {others} more of its entries)" if others else ""
-        yield _path(base), Complaint(_path(place), _message(place, error) + more)
-
-
-def _message(place: tuple[Any, ...], error: Any) -> str:
-    table, last = _TABLES.get(place[0], Problem) if len(place) > 1 else Problem, place[len(place) - 1]
-    known = {field.alias or name: field for name, field in table.model_fields.items()}
-    kind, value, bounds = error["type"], error["input"], error.get("ctx", {})
-    if kind == "extra_forbidden":
-        siblings = _siblings(place, known)
-        return f"is no known key; the nearest is {nearest(str(last), siblings)!r}"
-    if kind == "invalid_key":
-        return "is no text; keys are text"
-    if kind == "missing" and last == "schema":
-        return f"is missing; schema = {SCHEMA!r} was expected"
-    if kind == "missing":
-        meant = known[last].description if last in known else None
-        return "is missing" + (f": {meant}" if meant else "")
-    if kind == "literal_error":
-        return f"is {shown(value)}; {bounds['expected']} was expected"
-    if kind == "too_short" and bounds["min_length"] == 1:
-        return "is empty"
-    if kind in _BOUNDS:
-        sign, name = _BOUNDS[kind]
-        return f"is {shown(value)}; a number {sign} {bounds[name]:.16g} was expected"
-    return f"is {shown(value)}; {_FORMS.get(kind, 'something else')} was expected"
-
-
-def _siblings(place: tuple[Any, ...], known: dict[str, Any]) -> list[str]:
-    """The keys that are known where an unknown one stands: those of its table, or of a reference to the archive."""
-    depth = sum(isinstance(x, str) for x in place)
-    return list(known) if depth <= 2 else ["array", *(["triples"] if "weights" in place else [])]
-
-
-def _path(place: tuple[Any, ...]) -> str:
-    """A key path such as `sensors[3].R`."""
-    path = ""
-    for x in place:
-        if isinstance(x, int):
-            path += f"[{x}]"
-        else:
-            bare = x if re.fullmatch(r"[\w-]+", x) else repr(x)
-            path += f".{bare}" if path else bare
-    return path

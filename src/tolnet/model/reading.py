@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy import ndarray
 
-from tolnet.model._checks import Complaints, nearest, shown, there_are, unreadable
+from tolnet.model._checks import Complaints, nearest, shown, there_are
 from tolnet.model.ambiguity import Ambiguity
 from tolnet.model.archive import read_archive
-from tolnet.model.errors import Complaint, InputError, ShapeError
+from tolnet.model.bounded_reading import LARGEST_ARCHIVE, LARGEST_TEXT, read_whole
+from tolnet.model.errors import Complaint, InputError
 from tolnet.model.graph import DIFFUSION_RULES, weights_of_triples
 from tolnet.model.network import SensorNetwork
+from tolnet.model.problem_text import mapping_of, read_problem
 from tolnet.model.sensors import count
+
+if TYPE_CHECKING:
+    from tolnet.model.graphml import DrawnGraph
 
 PACKED = ("C", "R", "D", "rows", "edges")
 """Arrays of a side archive that stand, without a reference, for the `[[sensors]]` tables and the list of links."""
@@ -37,12 +41,8 @@ def load(path: str | Path) -> SensorNetwork:
     Raises InputError, which names the file and carries every complaint with its key path, for a file that is
     missing, empty, malformed, or describes no network. The format is described by problem.schema.json.
     """
-    source = str(path)
-    try:
-        data = Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(unreadable(error), source=source) from None
-    return Reader(mapping_of(data, source), Path(path).parent, data, source).network()
+    data = read_problem(path, Reader.judge_content)
+    return Reader(mapping_of(data, str(path)), Path(path).parent, data, str(path)).network()
 
 
 def parse(mapping: Mapping[str, Any], folder: str | Path = ".") -> SensorNetwork:
@@ -58,21 +58,6 @@ def parse_text(data: bytes, source: str) -> SensorNetwork:
     return Reader(mapping_of(data, source), Path(), data, source).network()
 
 
-def mapping_of(data: bytes, source: str) -> dict[str, Any]:
-    """The content of a problem file. Raises InputError, naming the `source`, for what is no TOML."""
-    if not data.strip():
-        raise InputError("is empty; a problem file was expected", source=source)
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))  # some editors open a file with a byte order mark
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(f"is no text: line {line} holds bytes that are not UTF-8", source=source) from None
-    except RecursionError:
-        raise InputError("is nested too deeply to be read", source=source) from None
-    except ValueError as error:  # TOMLDecodeError, with its line; or an integer of thousands of digits
-        raise InputError(f"is not TOML: {error}", source=source) from None
-
-
 class Reader:
     """One problem file on its way to a network.
 
@@ -83,14 +68,16 @@ class Reader:
     def __init__(
         self, mapping: Mapping[str, Any], folder: Path, data: bytes | None = None, source: str | None = None
     ) -> None:
-        from tolnet.model.problem import complaints_about_form  # imported late: pydantic takes its time
+        from tolnet.model.form import complaints_about_form  # imported late: pydantic takes its time
 
         self.content, self.folder, self.source = dict(mapping), folder, source
         self.hash = None if data is None else hashlib.sha256(data)
         self.complaints = Complaints()
         self.blamed: set[str] = set()
         for key, complaint in complaints_about_form(self.content):
-            self.blame(key, complaint.message, at=complaint.key)
+            self.blamed.add(key)
+            self.complaints.keep(complaint)
+        self.complaints.only_shapes &= not self.complaints.found
         self.archive: dict[str, ndarray] = {}
         self.opened = False
         self.used: set[str] = set(PACKED_CHANNELS)
@@ -110,22 +97,31 @@ class Reader:
         N = count(arguments["C"], arguments.get("rows"))
         return arguments | self.graph(N) | self.diffusion(N) | self.texts() | {"ambiguity": self.ambiguity()}
 
+    @classmethod
+    def judge_content(cls, content: dict[str, Any], folder: Path) -> None:
+        """Raise everything that is wrong with the content of a problem file."""
+        cls(content, folder).network()
+
     def build(self, kind: Callable[..., Built], gather: Callable[[], dict[str, Any]]) -> Built:
         """A network of that kind from the arguments gathered, or all complaints."""
         self.open_archive()
         arguments = gather()
-        for name in sorted(set(self.archive) - self.used - set(_references(self.content))):
-            self.blame(
+        unused = sorted(set(self.archive) - self.used - set(_references(self.content)))
+        each = (
+            (
                 "arrays",
-                f"holds {name!r}, which nothing refers to; the nearest of the names read without"
+                f"holds {shown(name)}, which nothing refers to; the nearest of the names read without"
                 f" a reference is {nearest(name, PACKED)!r}",
             )
+            for name in unused
+        )
+        self.complaints.add_each(each, len(unused))
         try:
             network = kind(**arguments, digest=self.hash.hexdigest() if self.hash else None)
         except InputError as error:
-            new = [complaint for complaint in error.complaints if not self.told(complaint.key)]
-            self.complaints.found.extend(new)
-            self.complaints.only_shapes &= not new or isinstance(error, ShapeError)
+            new = [each for each in error.kept if not (each.key and self.told(each.key))]
+            if any(each.key for each in new):
+                self.complaints.extend(type(error)(new))
         else:
             if not self.complaints.found:
                 return network
@@ -136,12 +132,12 @@ class Reader:
         """Whether the value at `key`, or one that holds it, was blamed before."""
         return any(key == old or key.startswith((f"{old}.", f"{old}[")) for old in self.blamed)
 
-    def side_file(self, key: str, name: str) -> bytes | None:
-        """The bytes of a file that the problem file names; they count for the digest."""
+    def side_file(self, key: str, name: str, most: int) -> bytes | None:
+        """The bytes of a file, at most so many, that the problem file names; they count for the digest."""
         try:
-            data = (self.folder / name).read_bytes()
-        except (OSError, ValueError) as error:
-            self.blame(key, f"names {name!r}, which {unreadable(error)}")
+            data = read_whole(self.folder / name, most)
+        except InputError as error:
+            self.blame(key, f"names {shown(name)}, which {error}")
             return None
         if self.hash:
             self.hash.update(data)
@@ -153,12 +149,12 @@ class Reader:
         if self.opened or not isinstance(name, str):
             return
         self.opened = True
-        data = self.side_file("arrays", name)
+        data = self.side_file("arrays", name, LARGEST_ARCHIVE)
         if data is not None:
             try:
                 self.archive = read_archive(data)
             except InputError as error:
-                self.blame("arrays", f"names {name!r}, which {error}")
+                self.blame("arrays", f"names {shown(name)}, which {error}")
         if "arrays" in self.blamed:
             raise self.complaints.error(self.source)
 
@@ -179,11 +175,11 @@ class Reader:
         if not isinstance(name, str) or self.told(key):
             return value
         if "arrays" not in self.content:
-            self.blame(key, f"refers to {name!r}, but no archive is named (`arrays = ...`)")
+            self.blame(key, f"refers to {shown(name)}, but no archive is named (`arrays = ...`)")
             return value
         if name not in self.archive:
             hint = f"; the nearest is {nearest(name, self.archive)!r}" if self.archive else ""
-            self.blame(key, f"refers to {name!r}, which the archive does not hold{hint}")
+            self.blame(key, f"refers to {shown(name)}, which the archive does not hold{hint}")
             return value
         self.used.add(name)
         return self.archive[name]
@@ -232,12 +228,10 @@ class Reader:
             both = "both " if len(places) == 2 else ""
             self.blame("network", f"has {both}{' and '.join(places)}; exactly one was expected")
         if graphml is not None and edges is None:
-            graph = self.graphml(graphml)
+            graph = self.graphml(graphml, directed, N)
             if graph is None:
                 self.blamed.add("network.edges")
                 edges = graphml  # no links, as has been said
-            elif directed not in (None, graph.is_directed()):
-                self.blame("network.directed", f"is {shown(directed)}; {graphml!r} says the contrary")
         elif edges is None:
             edges = packed
         if nodes is None and graphml is None and not self.told("network.nodes"):
@@ -254,18 +248,25 @@ class Reader:
             "names": None if self.told("network.names") else names,
         }
 
-    def graphml(self, name: str) -> Any:
-        """The networkx graph of a GraphML file."""
-        from tolnet.model.convert import read_graphml
+    def graphml(self, name: str, directed: bool | None, N: int | None) -> DrawnGraph | None:
+        """The graph of a GraphML file, with links as `directed` says where it says anything.
 
-        data = self.side_file("network.graphml", name)
+        Editors write the word `directed` into drawings of lines without arrows, so `directed = false` is taken at its
+        word; but no file of lines tells which way they work, so `directed = true` contradicts it.
+        """
+        from tolnet.model.graphml import read_graphml
+
+        data = self.side_file("network.graphml", name, LARGEST_TEXT)
         if data is None:
             return None
         try:
-            return read_graphml(data)
+            graph = read_graphml(data, N)
         except InputError as error:
-            self.blame("network.graphml", f"names {name!r}, which {error}")
+            self.blame("network.graphml", f"names {shown(name)}, which {error}")
             return None
+        if directed and not graph.directed:
+            self.blame("network.directed", f"is true; {shown(name)} says the contrary")
+        return graph.without_arrows() if directed is False else graph
 
     def diffusion(self, N: int | None) -> dict[str, Any]:
         """The rule, or W itself."""

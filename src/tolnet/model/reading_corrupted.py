@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tolnet.model import _checks as checks
 from tolnet.model.channels import SimulationModel
 from tolnet.model.corrupted import CorruptedNetwork
 from tolnet.model.errors import Complaint, InputError
 from tolnet.model.fusion import FUSION_RULES
 from tolnet.model.network import SensorNetwork
-from tolnet.model.reading import PACKED_CHANNELS, Reader, mapping_of
+from tolnet.model.problem_text import mapping_of, read_problem
+from tolnet.model.reading import PACKED_CHANNELS, Reader
 from tolnet.model.sensors import count
 from tolnet.model.time_varying import depth
 
@@ -60,12 +60,8 @@ def parse_corrupted_text(data: bytes, source: str) -> CorruptedNetwork:
 
 
 def _reader(path: str | Path) -> CorruptedReader:
-    source = str(path)
-    try:
-        data = Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(checks.unreadable(error), source=source) from None
-    return CorruptedReader(mapping_of(data, source), Path(path).parent, data, source)
+    data = read_problem(path, CorruptedReader.judge_content)
+    return CorruptedReader(mapping_of(data, str(path)), Path(path).parent, data, str(path))
 
 
 class CorruptedReader(Reader):
@@ -96,6 +92,12 @@ class CorruptedReader(Reader):
     def peek(self, value: Any) -> Any:
         """A value, or the array that it refers to, without a complaint where there is none."""
         return self.archive.get(str(value.get("array"))) if isinstance(value, dict) else value
+
+    @classmethod
+    def judge_content(cls, content: dict[str, Any], folder: Path) -> None:
+        """Raise everything that is wrong with the content of a problem file."""
+        reader = cls(content, folder)
+        reader.corrupted() if reader.about_channels else reader.network()
 
     def corrupted(self) -> CorruptedNetwork:
         """Build the network, or raise with everything that is wrong."""

@@ -276,7 +276,7 @@ def check_noise(R: Packed, by_factor: ndarray, complaints: Complaints) -> None:
             elif checks.symmetric(stack[i], f"{key}.R", complaints):
                 checks.positive(stack[i], f"{key}.R", complaints, definite=True)
     if wrong > checks.MOST_OF_A_KIND:
-        complaints.add("sensors", f"have {wrong - checks.MOST_OF_A_KIND} more matrices R or D that cannot be used")
+        complaints.more(wrong - checks.MOST_OF_A_KIND)
 
 
 def information(R: Packed, n: int) -> Float[ndarray, "N n n"]:

@@ -16,6 +16,7 @@ from tolnet.design.export.reading import read_table
 from tolnet.design.export.record import TableRecord
 from tolnet.model import Complaint, InputError, gamma_per
 from tolnet.model.archive import read_archive
+from tolnet.model.bounded_reading import LARGEST_ARCHIVE, LARGEST_TEXT, read_whole, text_of
 
 DEPLOYED_SUFFIXES = (".npz", ".json")
 
@@ -81,7 +82,7 @@ def _fits(deployment: Deployment, N: int, n: int) -> bool:
 
 
 def _of_archive(path: Path) -> dict[str, ndarray]:
-    archive = read_archive(path.read_bytes())
+    archive = read_archive(read_whole(path, LARGEST_ARCHIVE))
     names = {
         "offsets": "neighbour_offsets",
         "neighbours": "neighbours",
@@ -98,7 +99,7 @@ def _of_archive(path: Path) -> dict[str, ndarray]:
 def _of_document(path: Path) -> dict[str, Any]:
     import json
 
-    document = json.loads(path.read_text(encoding="utf-8"))
+    document = json.loads(text_of(read_whole(path, LARGEST_TEXT)))
     nodes, central = document["nodes"], document["central"]
     links = [node["neighbours"] for node in nodes]
     columns = [link["columns"] for each in links for link in each]

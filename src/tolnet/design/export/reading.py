@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,15 @@ from numpy import ndarray
 from tolnet.design.export.record import CENTRAL, NODES, SCHEMA, TableRecord
 from tolnet.model import CONVENTIONS, Complaint, InputError
 from tolnet.model.archive import read_archive
+from tolnet.model.bounded_reading import LARGEST_ARCHIVE, LARGEST_TEXT, read_whole, text_of
+
+LARGEST = {".json": LARGEST_TEXT, ".csv": LARGEST_TEXT, ".npz": LARGEST_ARCHIVE}
+"""Bytes of a table by its suffix."""
+LONG_DOCUMENT = 2**21
+"""Bytes from which on a JSON document is to open as `export_table` writes it, or is not built."""
+MOST_HEADINGS = 1000
+"""Lines above the columns of a .csv file; `export_table` writes about twenty."""
+_OPENING = re.compile(rb'\s*\{\s*"schema"\s*:\s*"' + re.escape(SCHEMA.encode()) + rb'"\s*,')
 
 NAMED = (NODES[0], "name", *NODES[1:])
 """The columns of a table whose nodes have names."""
@@ -28,9 +39,7 @@ def read_table(path: Path) -> TableRecord:
     if suffix not in _READERS:
         raise InputError(f"is no table that can be read back: expected {', '.join(_READERS)}", source=str(path))
     try:
-        document = _READERS[suffix](path)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", source=str(path)) from None
+        document = _READERS[suffix](read_whole(path, LARGEST[suffix], _look if suffix == ".json" else None))
     except InputError as error:
         raise InputError(error.complaints, source=str(path)) from None
     except (ValueError, RecursionError, csv.Error) as error:  # malformed JSON, UTF-8 or CSV
@@ -41,8 +50,14 @@ def read_table(path: Path) -> TableRecord:
     return _record(document, str(path))
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    document = json.loads(path.read_text(encoding="utf-8"))
+def _look(head: bytes, size: int) -> None:
+    """Raise InputError for a long document that does not open as a table does, before all of it is built."""
+    if size > LONG_DOCUMENT and not _OPENING.match(head):
+        raise InputError(f"is no table: a document as long as this was expected to open with {SCHEMA!r}")
+
+
+def _read_json(data: bytes) -> dict[str, Any]:
+    document = json.loads(text_of(data))
     if not isinstance(document, dict):
         raise ValueError("the document is no object")
     nodes = document.get("nodes")
@@ -53,19 +68,24 @@ def _read_json(path: Path) -> dict[str, Any]:
     return document
 
 
-def _read_csv(path: Path) -> dict[str, Any]:
+def _read_csv(data: bytes) -> dict[str, Any]:
     document: dict[str, Any] = {}
-    with path.open(encoding="utf-8", newline="") as file:
+    file = io.StringIO(text_of(data), newline="")
+    line = file.readline()
+    for _ in range(MOST_HEADINGS):
+        if not line.startswith("# "):
+            break
+        key, _, value = line[2:].partition(": ")
+        _put(document, key.split("."), json.loads(value))
         line = file.readline()
-        while line.startswith("# "):
-            key, _, value = line[2:].partition(": ")
-            _put(document, key.split("."), json.loads(value))
-            line = file.readline()
-        columns = next(csv.reader([line]), [])
-        rows = list(csv.reader(file))
-    if any(len(row) != len(columns) for row in rows):
-        raise ValueError(f"a row has not {len(columns)} cells")
-    document["nodes"] = {key: [row[i] or None for row in rows] for i, key in enumerate(columns)}
+    columns = next(csv.reader([line]), [])
+    cells: list[list[str | None]] = [[] for _ in columns]
+    for row in csv.reader(file):
+        if len(row) != len(columns):
+            raise ValueError(f"a row has not {len(columns)} cells")
+        for column, cell in zip(cells, row, strict=True):
+            column.append(cell or None)
+    document["nodes"] = dict(zip(columns, cells, strict=True))
     return document
 
 
@@ -77,8 +97,8 @@ def _put(tree: dict[str, Any], path: list[str], value: Any) -> None:
     tree[path[-1]] = value
 
 
-def _read_npz(path: Path) -> dict[str, Any]:
-    archive = read_archive(path.read_bytes())
+def _read_npz(data: bytes) -> dict[str, Any]:
+    archive = read_archive(data)
 
     def values(keys: Iterable[str], prefix: str = "") -> dict[str, Any]:
         arrays = {key: archive[prefix + key] for key in keys if prefix + key in archive}
@@ -92,7 +112,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
     return document
 
 
-_READERS: dict[str, Callable[[Path], dict[str, Any]]] = {".json": _read_json, ".csv": _read_csv, ".npz": _read_npz}
+_READERS: dict[str, Callable[[bytes], dict[str, Any]]] = {".json": _read_json, ".csv": _read_csv, ".npz": _read_npz}
 
 
 def _record(document: Mapping[str, Any], source: str) -> TableRecord:
