@@ -1152,6 +1152,8 @@ def tolerance(claim: dict[str, Any], at: Deployment) -> str:
 def local_tolerance(centre: Enclosure, S: Balls) -> Interval:
     """c_k = tr M - log det(I + M), M = P_k^-1 (V - P), P_k = A (V^-1 + S_k)^-1 A' + Q, of the centre's V and P."""
     equations, one = centre.equations, unit(centre.equations.n)
+    if not centre.theta.size:
+        return exactly(0)  # V = P
     H = inverse(one - centre.P.times(centre.theta))
     V = symmetric(H @ centre.P)
     Z = inverse(one + V @ S) @ V
