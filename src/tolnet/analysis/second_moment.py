@@ -224,10 +224,10 @@ def _not_decaying(A: Float[ndarray, "T n n"], _: Float[ndarray, "T n n"]) -> Flo
 
 
 def _split(Phi: Float[ndarray, "n n"], values: ndarray) -> Float[ndarray, " n"]:
-    """How far rounding may have moved each eigenvalue: n eps |Phi| / |y* x| in balanced units, with a hundred to spare.
+    """How far rounding may have moved each eigenvalue: 100 n eps |Phi| / |y* x|, in balanced units.
 
-    A defective eigenvalue of order k that rounding splits by delta has condition numbers of about delta / (k eps |Phi|),
-    so that this reaches the others; a slow pole beside an integrator is far from being it.
+    A defective eigenvalue of order k that rounding splits by delta has condition numbers of about
+    delta / (k eps |Phi|), so that this reaches the others; a slow pole beside an integrator is far from being it.
     """
     from scipy.linalg import eig, matrix_balance
 
