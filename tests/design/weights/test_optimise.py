@@ -269,7 +269,9 @@ def test_bounds_on_own_weights_and_on_neighbours(small, best: Diffusion):
         few = design.optimise_diffusion(network, table, constraints=design.Constraints(max_neighbours=d))
         assert ((check_admissible(few) > 0).sum(axis=0) <= d).all()
         values.append(few.value)
-    assert values[0] > values[1] > values[2]
+    # Two neighbours are all that the best weights use here, so that both searches end near one optimum; each ends
+    # where a step gains less than a millionth.
+    assert values[0] > values[1] > (1 - 1e-5) * values[2]
     assert values[2] == best.value
 
 
