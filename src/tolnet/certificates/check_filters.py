@@ -14,16 +14,17 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
+from time import process_time
 from types import ModuleType
 from typing import Any, NamedTuple
 
-if not __package__:
+if not __package__ and "tolnet" not in sys.modules:
     # Run as a file: its directory stands for the package, whose own beginning would need more than the library. It
     # is no entry of sys.path, so that nothing that lies there takes the place of a module of the library.
     for _name in ("tolnet", "tolnet.certificates"):
@@ -31,7 +32,7 @@ if not __package__:
         sys.modules[_name].__path__ = [str(Path(__file__).parent)]
 
 from tolnet.certificates import check
-from tolnet.certificates.check import Deployment, Matrix
+from tolnet.certificates.check import Clock, Declined, Deployment, Matrix
 from tolnet.certificates.check_arithmetic import (
     PRECISIONS,
     Balls,
@@ -70,6 +71,7 @@ MOST_STATES = 30
 MOST_STEPS, MOST_BITS, MOST_WORK = 5000, 2**12, 2**21  # of an orbit; work is steps times bits
 MOST_BLOCKS, MOST_DOUBLINGS = 64, 40
 REFINEMENTS, WIDENINGS = 8, 4
+LONGEST = 600  # seconds of processor time that a claim may cost, of those that check.py gives the document
 KEPT = Fraction(
     1, 2**12
 )  # of the way that the ends of a bracket go in a block, not taken: it stays mapped into itself
@@ -740,7 +742,7 @@ def local_tolerance(centre: Enclosure, S: Balls) -> Interval:
 
 
 def converging(claim: dict[str, Any], at: Deployment) -> str:
-    """`convergence`: the orbit from V_0, enclosed step by step, ends in a region of contraction, or a bracket ends there."""
+    """`convergence`: the orbit from V_0, step by step, ends in a region of contraction, or in a bracket that does."""
     keys = "box", "factor", "Y", "rate", "radius", "steps", "bits"
     blocks = tuple(Bracket._fields) if _has_some(claim["proof"], Bracket._fields) else ()
     filters, node, c, proof = _opened(claim, at, "proof", *keys, *blocks)
@@ -778,7 +780,7 @@ def orbit(equations: Equations, start: Matrix, steps: int) -> Balls:
     require_shown(is_positive(V), "the start was not shown to be positive definite")
     P = Around.of(equations.following(equations.at(V, exactly(0))))
     for _ in range(steps - 1):
-        check.Clock.check()
+        Clock.check()
         P = step(equations, P)
     return P.hull()
 
@@ -802,7 +804,24 @@ def converging_for_all(claim: dict[str, Any], at: Deployment) -> str:
     return f"The covariances of the filter of {_who(node, c)} converge to one steady state from every start."
 
 
-RULES = {  # as those of check.py: keys of its own, and what verifies it
+def in_time(verify: Callable[[dict[str, Any], Deployment], str]) -> Callable[[dict[str, Any], Deployment], str]:
+    """The same, but declined where it takes too long: the claims after it have their turn."""
+
+    def within(claim: dict[str, Any], at: Deployment) -> str:
+        whole, Clock.end = Clock.end, min(Clock.end, process_time() + LONGEST)
+        try:
+            return verify(claim, at)
+        except Declined as declined:
+            if process_time() > whole:
+                raise
+            raise Declined(f"the claim takes more than {LONGEST} seconds") from declined
+        finally:
+            Clock.end = whole
+
+    return within
+
+
+VERIFIERS = {  # as the rules of check.py: keys of its own, and what verifies it
     ("steady-state", "proved"): (("node", "c", "gain_error"), steady_state),
     ("attraction", "proved"): (("node", "c", "rate"), attracting),
     ("attraction", "refuted"): (("node", "c"), repelling),
@@ -810,6 +829,9 @@ RULES = {  # as those of check.py: keys of its own, and what verifies it
     ("convergence", "proved"): (("node", "c", "start"), converging),
     ("convergence-all", "proved"): (("node", "c"), converging_for_all),
 }
+
+
+RULES = {key: (own, in_time(verify)) for key, (own, verify) in VERIFIERS.items()}
 
 
 def _opened(claim: dict[str, Any], at: Deployment, evidence: str, *keys: str) -> tuple[Filters, Node, Fraction, Any]:
