@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 from tests.certificates.alterations import designed, get, put
 from tests.certificates.deployments import deployment_of, document
+from tests.certificates.malformed import spoilt
 from tests.instances_random import random_network
 from tests.reference import exact as fine
 from tests.reference.certificates import Document, text
+from tests.study import sized
 
 from tolnet import analysis, design
 from tolnet.certificates import check as checker
@@ -33,6 +35,8 @@ from tolnet.certificates.verify import verify_claims
 from tolnet.model import Ambiguity, SensorNetwork
 
 mp: Any = fine.mp
+SPOILT = sized(40, 300)
+"""Malformed files of each kind of claim."""
 ALL = {**checker.RULES, **filters.RULES}
 
 
@@ -360,13 +364,18 @@ def about_the_centre(problem: SensorNetwork, c: float, *names: str) -> Document:
     return document(deployed, *decide(states, deployed, names))
 
 
-def test_a_steady_state_that_does_not_attract_is_told_so() -> None:
-    """A filter that oscillates by 1.6 a step: the refutation is valid, and no other witness is."""
-    rng, c = np.random.default_rng(10), 50.0
-    drawn = random_network(rng, 3, 8, radius=1.02, relays=0.9)
+@cache
+def overshooting() -> Document:
+    """That a filter which oscillates by 1.6 a step does not attract."""
+    drawn = random_network(np.random.default_rng(10), 3, 8, radius=1.02, relays=0.9)
     C, R = ([drawn.sensor(k)[part] for k in range(drawn.N)] for part in (0, 1))
     problem = SensorNetwork(A=drawn.A, Q=drawn.Q, C=C, R=R, adjacency=drawn.adjacency, ambiguity=Ambiguity(1e-3))
-    original = about_the_centre(problem, c, "attraction")
+    return about_the_centre(problem, 50.0, "attraction")
+
+
+def test_a_steady_state_that_does_not_attract_is_told_so() -> None:
+    """The refutation is valid, and no other witness is."""
+    original = overshooting()
     (claim,) = original["claims"]
     assert claim["verdict"] == "refuted"
     assert [f.result for f in findings(original)] == ["valid"]
@@ -473,9 +482,11 @@ def test_many_steps_at_once_are_those_one_by_one() -> None:
     Q, S = (
         matrix_of([[Fraction(x), Fraction(0)], [Fraction(0), Fraction(y)]]) for x, y in ((1024, 1), (1 / 1024, 2))
     )
-    one = arithmetic.unit(2)
-    equations = filters.Equations(*map(arithmetic.exact, (A, Q, S)), one, Fraction(1))
-    theta, P = arithmetic.exactly(Fraction(1, 2**16)), arithmetic.exact(checker.unit(2))
+    one = checker.unit(2)
+    equations = filters.Equations(
+        arithmetic.exact(A), arithmetic.exact(Q), arithmetic.exact(S), arithmetic.exact(one), Fraction(1)
+    )
+    theta, P = arithmetic.exactly(Fraction(1, 2**16)), arithmetic.exact(one)
     start, each = P, P
     for doublings in range(5):
         found = filters.many_steps(equations, theta, start, doublings)
@@ -500,3 +511,21 @@ def test_a_claim_that_takes_too_long_leaves_time_to_the_others(monkeypatch: pyte
     monkeypatch.setattr(checker, "LONGEST", 10**6)
     monkeypatch.setattr(filters, "LONGEST", 10**6)
     assert {f.result for f in findings(alone(certificate(1e-3), 0))} == {"valid"}
+
+
+@pytest.mark.parametrize("name", [*FILTER_CLAIMS, "blocks", "refuted"])
+def test_a_malformed_certificate_is_no_traceback(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what is valid all the same is valid in python-flint."""
+    if name in FILTER_CLAIMS:
+        intact = alone(certificate(1e-3), of_node_1(certificate(1e-3))[name])
+    else:
+        intact = proved_by_blocks(1e-9, 2, monkeypatch) if name == "blocks" else overshooting()
+    rng, path, refused = random.Random(name), tmp_path / "c.json", 0
+    for _ in range(SPOILT):
+        what, content = spoilt(intact, rng)
+        path.write_bytes(content)
+        code = checker.main([str(path)], more=filters.RULES)
+        assert code in (0, 1, 2, 3), what
+        refused += code != 0
+        assert code != 0 or all(said_in_balls(json.loads(content))), what
+    assert refused >= 0.8 * SPOILT
