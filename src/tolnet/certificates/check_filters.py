@@ -2,541 +2,79 @@
 
     python check_filters.py certificate.json        # every claim: those of check.py, which lies beside it, too
 
-Every number is enclosed: a scalar between two fractions that are rounded outward, a matrix between whole numbers,
-middle and radius. What is computed holds for every number inside; a comparison that is true was proved, and one that
-is false says nothing, so that `invalid` means not shown. Nothing is shared with the program that wrote the
+It needs check.py and check_arithmetic.py in its own directory, and nothing else. Every number is enclosed, so that a
+comparison that is true was proved, and `invalid` means not shown. Nothing is shared with the program that wrote the
 certificate: docs/certificate.md and docs/mathematics.md, 11.4 to 11.9, say what is verified and why.
 
-Read in this order: intervals, matrices in balls, inverses and definiteness, the equations of a filter, its steady
-state, the covariance recursion, the region of contraction, the bracket, the filters of a deployment, the claims.
+Read in this order: the equations of a filter, its steady state, the covariance recursion, the region of contraction,
+the brackets, the filters of a deployment, the claims.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from itertools import combinations, combinations_with_replacement
-from operator import mul
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from time import process_time
+from types import ModuleType
+from typing import Any, NamedTuple
 
+if not __package__ and "tolnet" not in sys.modules:
+    # Run as a file: its directory stands for the package, whose own beginning would need more than the library. It
+    # is no entry of sys.path, so that nothing that lies there takes the place of a module of the library.
+    for _name in ("tolnet", "tolnet.certificates"):
+        sys.modules[_name] = ModuleType(_name)
+        sys.modules[_name].__path__ = [str(Path(__file__).parent)]
 
-def _beside(name: str) -> Any:
-    """The module in the file of this name beside this one, where `python -I` does not look."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
+from tolnet.certificates import check
+from tolnet.certificates.check import Clock, Declined, Deployment, Matrix
+from tolnet.certificates.check_arithmetic import (
+    PRECISIONS,
+    Balls,
+    Interval,
+    NotShown,
+    Precision,
+    above,
+    assemble,
+    at_some,
+    below,
+    column,
+    congruence,
+    coordinates,
+    diagonal,
+    digits_of,
+    exact,
+    exactly,
+    from_coordinates,
+    inverse,
+    is_positive,
+    largest,
+    log_det,
+    near_inverse,
+    plus_minus,
+    require_shown,
+    scalar,
+    slack,
+    squared,
+    symmetric,
+    twice_off_the_diagonal,
+    unit,
+    upper,
+)
 
-
-if TYPE_CHECKING or __package__:
-    from tolnet.certificates import check
-    from tolnet.certificates.check import Deployment, Matrix, Wrong
-else:
-    check = _beside("check")
-    Deployment, Matrix, Wrong = check.Deployment, check.Matrix, check.Wrong
-
-PRECISIONS = (256, 512, 1536)  # binary digits, one after the other until a claim is shown
-COARSE = 120  # binary digits of radii
 MOST_STATES = 30
 MOST_STEPS, MOST_BITS, MOST_WORK = 5000, 2**12, 2**21  # of an orbit; work is steps times bits
-REFINEMENTS, WIDENINGS, PERRON_STEPS = 8, 4, 20
-LARGEST_EXPONENT = 2**16
-GUARD = 32  # further digits inside a logarithm or an elimination
-SINGULAR = "a matrix that must be inverted may be singular"
-T = TypeVar("T")
-
-
-class NotShown(Wrong):
-    """Not shown at the working precision: a higher one may do."""
-
-
-def _require(condition: bool, complaint: str) -> None:
-    if not condition:
-        raise NotShown(complaint)
-
-
-class Precision:
-    """The binary digits of middles and of ends of intervals."""
-
-    bits = PRECISIONS[0]
-
-
-@contextmanager
-def precision(bits: int) -> Iterator[None]:
-    """Work with so many binary digits."""
-    before, Precision.bits = Precision.bits, bits
-    try:
-        yield
-    finally:
-        Precision.bits = before
-
-
-def at_some(precisions: Iterable[int], attempt: Callable[[], T]) -> T:
-    """What the attempt returns at the first of these precisions at which it shows something."""
-    problem = NotShown("nothing was tried")
-    for bits in precisions:
-        with precision(bits):
-            try:
-                return attempt()
-            except NotShown as wrong:
-                problem = wrong
-    raise problem
-
-
-# -------------------- Intervals -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """All numbers from low to high; both are dyadic."""
-
-    low: Fraction
-    high: Fraction
-
-    @classmethod
-    def around(cls, low: Fraction, high: Fraction) -> Interval:
-        """Low and high, rounded outward to the working precision."""
-        return cls(-_rounded_up(-low), _rounded_up(high))
-
-    @property
-    def middle(self) -> Fraction:
-        return (self.low + self.high) / 2
-
-    @property
-    def radius(self) -> Fraction:
-        return (self.high - self.low) / 2
-
-    @property
-    def size(self) -> Fraction:
-        """The largest modulus."""
-        return max(-self.low, self.high)
-
-    def __neg__(self) -> Interval:
-        return Interval(-self.high, -self.low)
-
-    def __add__(self, other: Interval) -> Interval:
-        return Interval.around(self.low + other.low, self.high + other.high)
-
-    def __sub__(self, other: Interval) -> Interval:
-        return self + -other
-
-    def __mul__(self, other: Interval) -> Interval:
-        if self.low >= 0 and other.low >= 0:
-            return Interval.around(self.low * other.low, self.high * other.high)
-        ends = [x * y for x in (self.low, self.high) for y in (other.low, other.high)]
-        return Interval.around(min(ends), max(ends))
-
-    def __truediv__(self, other: Interval) -> Interval:
-        _require(other.low > 0 or other.high < 0, "a divisor may be zero")
-        ends = [x / y for x in (self.low, self.high) for y in (other.low, other.high)]
-        return Interval.around(min(ends), max(ends))
-
-    def sqrt(self) -> Interval:
-        """Of the numbers that are not negative."""
-        _require(self.low >= 0, "a root of a negative number")
-        return Interval(_root(self.low)[0], _root(self.high)[1])
-
-    def log(self) -> Interval:
-        """The natural logarithm."""
-        _require(self.low > 0, "a logarithm of a number that may not be positive")
-        low = logarithm(self.low)
-        return Interval.around(low.low, (low if self.high == self.low else logarithm(self.high)).high)
-
-    def is_inside(self, other: Interval) -> bool:
-        """Whether it lies inside, its ends too."""
-        return other.low < self.low and self.high < other.high
-
-
-def exactly(x: Fraction | int | float) -> Interval:
-    """The dyadic number x."""
-    return Interval(Fraction(x), Fraction(x))
-
-
-def plus_minus(middle: Fraction, radius: Fraction) -> Interval:
-    return Interval.around(middle - radius, middle + radius)
-
-
-def _rounded_up(x: Fraction) -> Fraction:
-    """A dyadic number at least as large as x, of the working precision."""
-    shift = Precision.bits + x.denominator.bit_length() - x.numerator.bit_length()
-    up, down = max(shift, 0), max(-shift, 0)
-    return Fraction(-((-x.numerator << up) // (x.denominator << down)) << down, 1 << up)
-
-
-def _root(x: Fraction) -> tuple[Fraction, Fraction]:
-    """Dyadic numbers below and above the root of x, from whole numbers: s <= sqrt(4^k x) < s + 1."""
-    k = max(0, Precision.bits + (x.denominator.bit_length() - x.numerator.bit_length()) // 2)
-    scaled = x * 4**k
-    low = math.isqrt(math.floor(scaled))
-    return Fraction(low, 2**k), Fraction(low if low * low == scaled else low + 1, 2**k)
-
-
-def logarithm(x: Fraction) -> Interval:
-    """log x = k log 2 + 2 atanh((y - 1) / (y + 1)) for y = x / 2^k from 1 to 2; log 2 = 2 atanh(1/3)."""
-    k = x.numerator.bit_length() - x.denominator.bit_length()
-    k -= x < Fraction(2) ** k
-    y = x / Fraction(2) ** k
-    digits = Precision.bits + GUARD + abs(k).bit_length()
-    (low, high), (low_2, high_2) = _atanh((y - 1) / (y + 1), digits), _atanh(Fraction(1, 3), digits)
-    ends = (low_2, high_2) if k >= 0 else (high_2, low_2)
-    unit = Fraction(2, 2**digits)
-    return Interval.around((k * ends[0] + low) * unit, (k * ends[1] + high) * unit)
-
-
-@lru_cache(maxsize=64)
-def _atanh(z: Fraction, digits: int) -> tuple[int, int]:
-    """2^digits atanh z = sum of t_i / (2 i + 1), t_i = 2^digits z^(2 i + 1), from below and above, 0 <= z <= 1/3.
-
-    Rounded down, t_i is too small by less than 2: the error e of one gives e/9 + 1 + 1/3 of the next. With what the
-    division loses, a term is too small by less than 3. Behind the last, t < 3, and the rest of the series is less
-    than 3 (1 + 1/9 + ...) < 4.
-    """
-    square = (z.numerator**2 << digits) // z.denominator**2
-    t = (z.numerator << digits) // z.denominator
-    total = count = 0
-    while t:
-        total += t // (2 * count + 1)
-        count += 1
-        t = t * square >> digits
-    return total, total + 3 * count + 4 * (z > 0)
-
-
-# -------------------- Matrices in balls -----------------------------------------------------------------------
-
-
-@dataclass(slots=True)
-class Balls:
-    """Every matrix whose entries are within `radius` of those of `middle`."""
-
-    middle: Matrix
-    radius: Matrix
-
-    @property
-    def T(self) -> Balls:
-        return Balls(self.middle.T, self.radius.T)
-
-    @property
-    def size(self) -> Matrix:
-        """The largest moduli of the entries, or a little more."""
-        return _plus(_coarse(self.middle), self.radius)
-
-    def __add__(self, other: Balls) -> Balls:
-        return _rounded(_plus(self.middle, other.middle), _plus(self.radius, other.radius))
-
-    def __sub__(self, other: Balls) -> Balls:
-        return _rounded(_plus(self.middle, other.middle, -1), _plus(self.radius, other.radius))
-
-    def __matmul__(self, other: Balls) -> Balls:
-        return self.by(other.T)
-
-    def by(self, other: Balls) -> Balls:
-        """P Q': |P Q' - p q'| <= |p| s' + r (|q|' + s') for the middles p and q and the radii r and s."""
-        radius = _plus(_coarse(self.middle).by(other.radius), self.radius.by(other.size))
-        return _rounded(self.middle.by(other.middle), radius)
-
-    def times(self, x: Interval) -> Balls:
-        """x P: |x P - m p| <= |m| r + s (|p| + r) for the middle m and the radius s of x."""
-        m, s = x.middle, x.radius
-        return _rounded(_times(m, self.middle), _plus(_times(abs(m), self.radius), _times(s, self.size)))
-
-    def entry(self, i: int, j: int) -> Interval:
-        middle = check.scaled(self.middle.rows[i][j], self.middle.exponent)
-        radius = check.scaled(self.radius.rows[i][j], self.radius.exponent)
-        return Interval(middle - radius, middle + radius)
-
-    def trace(self) -> Interval:
-        """The sum of the diagonal."""
-        middle, radius = (check.trace(M, range(len(M.rows))) for M in (self.middle, self.radius))
-        return plus_minus(middle, radius)
-
-
-def exact(M: Matrix) -> Balls:
-    """M alone."""
-    return Balls(M, Matrix([[0] * len(row) for row in M.rows]))
-
-
-def _digits(M: Matrix) -> int:
-    """Of the largest entry."""
-    return max((max(max(row), -min(row)) for row in M.rows), default=0).bit_length()
-
-
-def _times(c: Fraction, M: Matrix) -> Matrix:
-    """c M for a dyadic c."""
-    exponent = M.exponent + 1 - c.denominator.bit_length()
-    return Matrix([[c.numerator * x for x in row] for row in M.rows], exponent)
-
-
-def _plus(M: Matrix, other: Matrix, sign: int = 1) -> Matrix:
-    """M + other, or M - other."""
-    exponent = min(M.exponent, other.exponent)
-    up, factor = M.exponent - exponent, sign << (other.exponent - exponent)
-    rows = zip(M.rows, other.rows, strict=True)
-    return Matrix([[(x << up) + factor * y for x, y in zip(*both, strict=True)] for both in rows], exponent)
-
-
-def _coarse(M: Matrix) -> Matrix:
-    """|M|, rounded up to fewer digits."""
-    most = _digits(M) - COARSE
-    if most <= 0:
-        return Matrix([[abs(x) for x in row] for row in M.rows], M.exponent)
-    return Matrix([[-(-abs(x) >> most) for x in row] for row in M.rows], M.exponent + most)
-
-
-def _rounded(middle: Matrix, radius: Matrix) -> Balls:
-    """What has these middles and radii, to the working precision: what rounding loses is added to the radii."""
-    short = _shortened(middle)
-    if short is not middle:
-        radius = _plus(radius, Matrix([[1] * len(row) for row in short.rows], short.exponent))
-    _require(abs(short.exponent) < LARGEST_EXPONENT, "numbers are too large or too small")
-    return Balls(short, _coarse(radius))
-
-
-def _shortened(M: Matrix) -> Matrix:
-    """M, rounded down to the working precision."""
-    most = _digits(M) - Precision.bits
-    return M if most <= 0 else Matrix([[x >> most for x in row] for row in M.rows], M.exponent + most)
-
-
-def unit(n: int) -> Balls:
-    return exact(check.unit(n))
-
-
-def diagonal(entries: Sequence[Interval]) -> Balls:
-    """The diagonal matrix of these numbers."""
-    n = len(entries)
-    return assemble([(i, i, scalar(x)) for i, x in enumerate(entries)], n, n)
-
-
-def scalar(x: Interval) -> Balls:
-    """The matrix [x]."""
-    one = Matrix([[1]])
-    return Balls(x.middle * one, x.radius * one)
-
-
-def assemble(blocks: Sequence[tuple[int, int, Balls]], height: int, width: int) -> Balls:
-    """The matrix of blocks, given with the row and the column where each begins."""
-    middles, radii = ([(i, j, getattr(M, part)) for i, j, M in blocks] for part in ("middle", "radius"))
-    return Balls(check.assemble(middles, height, width), check.assemble(radii, height, width))
-
-
-def symmetric(M: Balls) -> Balls:
-    """(M + M') / 2, which encloses the same symmetric matrices as M does."""
-    twice = M + M.T
-    return Balls(*(Matrix(part.rows, part.exponent - 1) for part in (twice.middle, twice.radius)))
-
-
-def congruence(K: Balls, S: Balls) -> Balls:
-    """K S K' for a symmetric S."""
-    return symmetric(K @ S.by(K))
-
-
-@lru_cache
-def upper(n: int) -> list[tuple[int, int]]:
-    """The places i <= j of a symmetric matrix, row by row: its coordinates."""
-    return list(combinations_with_replacement(range(n), 2))
-
-
-def coordinates(S: Balls) -> Balls:
-    """The column of the entries i <= j of a symmetric matrix."""
-    pairs = upper(len(S.middle.rows))
-    column = (Matrix([[M.rows[i][j]] for i, j in pairs], M.exponent) for M in (S.middle, S.radius))
-    return Balls(*column)
-
-
-def from_coordinates(column: Balls, n: int) -> Balls:
-    """The symmetric matrix with these entries; what follows them is left out."""
-    place = {pair: k for k, pair in enumerate(upper(n))}
-    matrix = (
-        Matrix([[M.rows[place[min(i, j), max(i, j)]][0] for j in range(n)] for i in range(n)], M.exponent)
-        for M in (column.middle, column.radius)
-    )
-    return Balls(*matrix)
-
-
-# -------------------- Inverses, determinants, definiteness ----------------------------------------------------
-
-
-def near_inverse(M: Matrix) -> Matrix:
-    """Near the inverse: elimination in fixed point, in place, with the largest pivot of a column."""
-    n, digits = len(M.rows), Precision.bits + GUARD
-    lift = digits - _digits(M)
-    rows = [[check.shifted(x, lift) for x in row] for row in M.rows]
-    order = list(range(n))
-    for k in range(n):
-        check.Clock.check()
-        best = max(range(k, n), key=lambda i: abs(rows[i][k]))
-        rows[k], rows[best], order[k], order[best] = rows[best], rows[k], order[best], order[k]
-        pivot, rows[k][k] = rows[k][k], 1 << digits
-        _require(pivot != 0, SINGULAR)
-        top = rows[k] = [(x << digits) // pivot for x in rows[k]]
-        for i, row in enumerate(rows):
-            if i != k and (head := row[k]):
-                row[k] = 0
-                rows[i] = [x - (head * y >> digits) for x, y in zip(row, top, strict=True)]
-    place = sorted(range(n), key=order.__getitem__)
-    return _shortened(Matrix([[row[j] for j in place] for row in rows], lift - 2 * digits - M.exponent))
-
-
-def inverse(M: Balls) -> Balls:
-    """M^-1 = B + E (B + E M^-1) for B near the inverse of the middle and E = I - B M.
-
-    Where |E| d <= q d, q < 1, for d = |B| (1, ..., 1)': M^-1 = B + E B + E^2 B + ..., whose entry (i, j) is at most
-    d_i b_j / (1 - q) for the b_j with |B|_ij <= d_i b_j.
-    """
-    B = near_inverse(M.middle)
-    E = unit(len(B.rows)) - exact(B) @ M
-    d = [sum(map(abs, row)) for row in B.rows]
-    _require(all(d), SINGULAR)
-    q = contraction(E.size, d)
-    sizes = [
-        max(Fraction(abs(x), d_i) for x, d_i in zip(column, d, strict=True)) for column in zip(*B.rows, strict=True)
-    ]
-    bound = [[math.ceil(d_i * b / (1 - q)) for b in sizes] for d_i in d]
-    rest = Balls(Matrix([[0] * len(d) for _ in d]), _coarse(Matrix(bound, B.exponent)))
-    return exact(B) + E @ (exact(B) + E @ rest)
-
-
-def contraction(size: Matrix, d: list[int]) -> Fraction:
-    """The least q with |E| d <= q d. NotShown where it is not below one: then I - E may be singular."""
-    sums = (sum(x * y for x, y in zip(row, d, strict=True)) for row in size.rows)
-    q = max(Fraction(total, d_i) for total, d_i in zip(sums, d, strict=True)) * Fraction(2) ** size.exponent
-    _require(q < 1, SINGULAR)
-    return q
-
-
-def determinant(M: Matrix) -> Fraction:
-    """By fraction-free elimination."""
-    rows, previous, sign = M.rows, 1, 1
-    n = len(rows)
-    while rows:
-        best = next((i for i, row in enumerate(rows) if row[0]), None)
-        if best is None:
-            return Fraction(0)
-        sign = -sign if best else sign
-        (pivot, *rest), *below = [rows[best], *rows[1:best], *rows[:1], *rows[best + 1 :]] if best else rows
-        rows = [[(x * pivot - head * y) // previous for x, y in zip(row, rest, strict=True)] for head, *row in below]
-        previous = pivot
-    return check.scaled(sign * previous, n * M.exponent)
-
-
-def log_det(M: Balls, back: Balls) -> Interval:
-    """log det of every matrix in M, whose inverses lie in `back`.
-
-    det(m + R) = det m det(I + m^-1 R); where |m^-1| |R| d <= q d for some d > 0, the logarithm of the second is at
-    most n (q + q^2 / 2 + ...).
-    """
-    relative = back.size @ M.radius
-    q = contraction(relative, [sum(row) for row in back.size.rows]) if any(map(any, relative.rows)) else Fraction(0)
-    det = determinant(M.middle)
-    _require(det > 0, "a determinant may not be positive")
-    return exactly(det).log() + plus_minus(Fraction(0), len(relative.rows) * q / (1 - q))
-
-
-def slack(M: Balls) -> Matrix:
-    """A diagonal matrix D with -D <= R <= D for every symmetric R within the radii of M.
-
-    R <= diag(sum_j R_ij t_j / t_i) for any t > 0; here 1 / t_i is a power of two near the root of M_ii.
-    """
-    n = len(M.middle.rows)
-    roots = [abs(row[i]).bit_length() // 2 for i, row in enumerate(M.middle.rows)]
-    least = min(roots) - max(roots)
-    shift = [[0] * n for _ in range(n)]
-    for i, row in enumerate(M.radius.rows):
-        shift[i][i] = sum(x << (roots[i] - b - least) for x, b in zip(row, roots, strict=True))
-    return Matrix(shift, M.radius.exponent + least)
-
-
-def below(M: Balls) -> Matrix:
-    """An exact matrix below every symmetric matrix in M."""
-    M = symmetric(M)
-    return M.middle - slack(M)
-
-
-def above(M: Balls) -> Matrix:
-    """An exact matrix above every symmetric matrix in M."""
-    M = symmetric(M)
-    return M.middle + slack(M)
-
-
-def is_positive(M: Balls) -> bool:
-    """Whether every symmetric matrix in M was shown to be positive definite.
-
-    Where the radii, moved to the diagonal, take too much: for X near the inverse of a Cholesky factor of the middle,
-    X M X' is near the identity, and its diagonal may outweigh the rest. Last, by elimination in intervals.
-    """
-    if check.is_positive_definite(below(M)):
-        return True
-    X = near_inverse_factor(symmetric(M).middle) if any(map(any, M.radius.rows)) else None
-    return X is not None and (outweighs(congruence(exact(X), M)) or has_positive_pivots(M))
-
-
-def has_positive_pivots(M: Balls) -> bool:
-    """Whether every pivot of the symmetric elimination is positive for all of M."""
-    rows = [[M.entry(i, j) for j in range(i + 1)] for i in range(len(M.middle.rows))]
-    while rows:
-        check.Clock.check()
-        (pivot,), *rows = rows
-        if not pivot.low > 0:
-            return False
-        heads = [row[0] for row in rows]
-        shares = [head / pivot for head in heads]
-        rows = [[x - shares[i] * heads[j] for j, x in enumerate(row[1:])] for i, row in enumerate(rows)]
-    return True
-
-
-def outweighs(M: Balls) -> bool:
-    """Whether M_ii d_i > sum |M_ij| d_j over the other j, for some d > 0: symmetric, M is then positive definite.
-
-    That is Gershgorin's theorem for D^-1 M D. Among the d, one near the Perron vector of the moduli serves best.
-    """
-    n = len(M.middle.rows)
-    least = [M.entry(i, i).low for i in range(n)]
-    if min(least) <= 0:
-        return False
-    scale = 1 / max(least)
-    rest = [[math.ceil(M.entry(i, j).size * scale * 2**60) * (i != j) for j in range(n)] for i in range(n)]
-    diagonal = [math.floor(x * scale * 2**60) for x in least]
-    d = [1 << 30] * n
-    for _ in range(PERRON_STEPS):
-        d = [sum(map(mul, row, d)) for row in rest]
-        d = [(x << 30) // max(d) + 1 for x in d] if any(d) else [1] * n
-        if all(sum(map(mul, row, d)) < x * y for row, x, y in zip(rest, diagonal, d, strict=True)):
-            return True
-    return False
-
-
-def near_inverse_factor(S: Matrix) -> Matrix | None:
-    """Near L^-1 for S = L L', in floating point: D S D with a diagonal near one, D = diag(2^lift). Or None."""
-    n = len(S.rows)
-    if min(row[i] for i, row in enumerate(S.rows)) <= 0:
-        return None
-    lift = [60 - (row[i].bit_length() + 1) // 2 for i, row in enumerate(S.rows)]
-    X = [[0.0] * n for _ in range(n)]
-    L: list[list[float]] = []
-    for i, row in enumerate(S.rows):
-        c: list[float] = []
-        for j, above in enumerate(L):
-            entry = math.ldexp(check.shifted(row[j], lift[i] + lift[j]), -120)
-            c.append((entry - sum(x * y for x, y in zip(c, above, strict=False))) / above[j])
-        pivot = math.ldexp(check.shifted(row[i], 2 * lift[i]), -120) - sum(x * x for x in c)
-        if not pivot > 0:
-            return None
-        L.append([*c, math.sqrt(pivot)])
-        X[i][i] = 1 / L[i][i]
-        for j in range(i):
-            X[i][j] = -sum(L[i][k] * X[k][j] for k in range(j, i)) / L[i][i]
-    rows = [[round(math.ldexp(x, 60)) << (up - min(lift)) for x, up in zip(row, lift, strict=True)] for row in X]
-    return Matrix(rows, min(lift))
+MOST_BLOCKS, MOST_DOUBLINGS = 64, 40
+REFINEMENTS, WIDENINGS = 8, 4
+LONGEST = 600  # seconds of processor time that a claim may cost, of those that check.py gives the document
+KEPT = Fraction(
+    1, 2**12
+)  # of the way that the ends of a bracket go in a block, not taken: it stays mapped into itself
 
 
 # -------------------- The equations of a filter ---------------------------------------------------------------
@@ -628,29 +166,7 @@ class Equations:
         if at.H is None:
             return Slope(loop, thrust, None, exactly(0), at.theta)
         N = self.stretch(at)
-        return Slope(loop, thrust, _twice_off_the_diagonal(N), (N @ at.P).trace(), at.theta)
-
-
-def squared(K: Balls) -> Balls:
-    """The matrix of E -> K E K' in the coordinates of E: |(k + r)(k + r) - k k| <= (|k| + r)(|k| + r) - |k| |k|."""
-    least = _coarse(K.middle)
-    return _rounded(_squared(K.middle), _squared(least + K.radius) - _squared(least))
-
-
-def _squared(K: Matrix) -> Matrix:
-    pairs = upper(len(K.rows))
-    rows = [
-        [x[i] * y[j] + (x[j] * y[i] if i != j else 0) for i, j in pairs]
-        for x, y in ((K.rows[a], K.rows[b]) for a, b in pairs)
-    ]
-    return Matrix(rows, 2 * K.exponent)
-
-
-def _twice_off_the_diagonal(N: Balls) -> Balls:
-    """The row of dP -> tr(N dP)."""
-    pairs = upper(len(N.middle.rows))
-    parts = (Matrix([[M.rows[i][j] << (i != j) for i, j in pairs]], M.exponent) for M in (N.middle, N.radius))
-    return Balls(*parts)
+        return Slope(loop, thrust, twice_off_the_diagonal(N), (N @ at.P).trace(), at.theta)
 
 
 # -------------------- The steady state ------------------------------------------------------------------------
@@ -735,21 +251,17 @@ def enclose(equations: Equations, box: Box) -> Enclosure:
     B = exact(near_inverse(test.slope(exact(steps.middle)).middle))
     image = test.image(steps, B)
     inside = (image.entry(i, 0).is_inside(Interval(-x.low, x.low)) for i, x in enumerate(radii))
-    _require(all(inside), f"Krawczyk's test fails on the box of relative radius {float(box.radius):.1e}")
+    require_shown(all(inside), f"Krawczyk's test fails on the box of relative radius {float(box.radius):.1e}")
     tight = Fraction(1, 2**128) / max(Fraction(1), equations.c) ** 3
     for _ in range(REFINEMENTS):
         if all(image.entry(i, 0).radius <= tight * x.low for i, x in enumerate(reach)):
             break
         image = test.image(image, B)
     found = test.at(image)
-    _require(is_positive(found.P) and equations.is_inside(found.P, found.theta), "0 < P, theta P < I were not shown")
+    require_shown(
+        is_positive(found.P) and equations.is_inside(found.P, found.theta), "0 < P, theta P < I were not shown"
+    )
     return Enclosure(equations, found.P, found.theta)
-
-
-def column(entries: Sequence[Interval]) -> Balls:
-    """The column of these numbers."""
-    whole = assemble([(i, 0, scalar(x)) for i, x in enumerate(entries)], len(entries), 1)
-    return _rounded(whole.middle, whole.radius)
 
 
 # -------------------- The covariance recursion ----------------------------------------------------------------
@@ -814,7 +326,7 @@ def enclose_theta(equations: Equations, P: Balls) -> Interval:
     value, slope = _gamma(P, exactly(t))
     X = plus_minus(t, 2 * ((value - c) / slope).size + t * Fraction(16, 2**Precision.bits))
     root = exactly(t) - (value - c) / _gamma(P, X)[1]
-    _require(X.low > 0 and root.is_inside(X) and equations.is_inside(P, X), "theta was not enclosed")
+    require_shown(X.low > 0 and root.is_inside(X) and equations.is_inside(P, X), "theta was not enclosed")
     return root
 
 
@@ -828,10 +340,10 @@ def _gamma(P: Balls, theta: Interval) -> tuple[Interval, Interval]:
 
 def near_theta(P: Matrix, c: float) -> Fraction:
     """theta with gamma(P, theta) = c > 0, in floating point: mu / (1 + mu) over the largest eigenvalue."""
-    most = _digits(P)
+    most = digits_of(P)
     values = eigenvalues([[math.ldexp(check.shifted(x, 900 - most), -900) for x in row] for row in P.rows])
     largest = max(values)
-    _require(largest > 0, "a covariance is not positive")
+    require_shown(largest > 0, "a covariance is not positive")
     mu = near_excess([max(x / largest, 0.0) for x in values], c)
     return Fraction(mu / (1 + mu) / largest) / Fraction(2) ** (most + P.exponent)
 
@@ -894,11 +406,11 @@ class Region(NamedTuple):
         bound, taken over an interval around theta*, is shorter than the interval, theta stays in it.
         """
         n, L, Y = at.equations.n, exact(self.L), weighed(self.Y, at.equations.n)
-        _require(is_positive(Y), "Y > 0 was not shown")
+        require_shown(is_positive(Y), "Y > 0 was not shown")
         equations, back = at.equations.seen_from(L), inverse(Y)
         reach = [(back.entry(i, i).sqrt() * exactly(self.radius)).high for i in range(len(upper(n)))]
         X = congruence(inverse(L), at.P) + from_coordinates(column([Interval(-x, x) for x in reach]), n)
-        _require(is_positive(X), "0 < P was not shown on the region")
+        require_shown(is_positive(X), "0 < P was not shown on the region")
         theta, room = at.theta, Fraction(0)
         for _ in range(WIDENINGS):
             slope = equations.slope(equations.at(X, theta))
@@ -919,7 +431,7 @@ class Region(NamedTuple):
     def require_inside(self, at: Enclosure, D: Balls) -> None:
         """Every symmetric matrix in D, such as `seen` gives, lies in the region."""
         norm = congruence(coordinates(D).T, weighed(self.Y, at.equations.n)).entry(0, 0)
-        _require(norm.high <= self.radius**2, "it does not end in the region of contraction")
+        require_shown(norm.high <= self.radius**2, "it does not end in the region of contraction")
 
 
 def weighed(Y: Matrix, n: int) -> Balls:
@@ -930,12 +442,20 @@ def weighed(Y: Matrix, n: int) -> Balls:
 
 def require_decrease(J: Balls, Y: Balls, rate: Fraction) -> None:
     """Y > 0 and rate^2 Y - J' Y J > 0."""
-    _require(is_positive(Y), "Y > 0 was not shown")
+    require_shown(is_positive(Y), "Y > 0 was not shown")
     left = Y.times(exactly(rate**2)) - congruence(J.T, Y)
-    _require(is_positive(left), "r^2 Y - J' Y J > 0 was not shown")
+    require_shown(is_positive(left), "r^2 Y - J' Y J > 0 was not shown")
 
 
-# -------------------- A bracket around every orbit ------------------------------------------------------------
+# -------------------- Brackets: around every orbit, and around one ---------------------------------------------
+
+
+class Bracket(NamedTuple):
+    """All P between the ends, in the order of definiteness, and by how many doublings each block pushes them on."""
+
+    lower: Matrix
+    upper: Matrix
+    blocks: list[int]
 
 
 def bracket(equations: Equations, low: Matrix, high: Matrix, steps: int) -> tuple[Balls, Balls]:
@@ -945,14 +465,11 @@ def bracket(equations: Equations, low: Matrix, high: Matrix, steps: int) -> tupl
     0 < L < T_0(L) and U > T_+(U) > 0 hold every orbit; gamma rises with P, so theta(U) <= theta_t <= theta(L), and
     the next P lies between T(L, theta(U)) and T(U, theta(L)), or T_+(U).
     """
-    under, over = near_factors(float(equations.c))
-    _require(_gain(over).low >= equations.c, "the factor kappa of the tolerance was not enclosed")
+    under, over = enclosed_factors(equations.c)  # with one state V = kappa P itself, and theta is not needed
     L, U = exact(low), exact(high)
-    _require(is_positive(L) and is_positive(U), "the bracket does not begin with positive definite matrices")
-    _require(is_positive(_push(equations, L, Fraction(1)) - L), "0 < L < T_0(L) was not shown")
-    _require(is_positive(U - _push(equations, U, over)), "U > T_+(U) was not shown")
-    if equations.n == 1:  # V = kappa P for the root kappa itself, and theta is not needed
-        _require(_gain(under).high <= equations.c, "the factor kappa of the tolerance was not enclosed")
+    require_shown(is_positive(L) and is_positive(U), "the bracket does not begin with positive definite matrices")
+    require_shown(is_positive(_push(equations, L, Fraction(1)) - L), "0 < L < T_0(L) was not shown")
+    require_shown(is_positive(U - _push(equations, U, over)), "U > T_+(U) was not shown")
     for _ in range(steps):
         if equations.n == 1:
             L, U = exact(below(_push(equations, L, under))), exact(above(_push(equations, U, over)))
@@ -964,24 +481,88 @@ def bracket(equations: Equations, low: Matrix, high: Matrix, steps: int) -> tupl
             end = min(by_theta, end, key=lambda P: P.trace().middle)
         L = exact(below(equations.following(equations.at(L, least, stretched=False))))
         U = exact(above(end))
-        _require(is_positive(L), "the lower end of the bracket was not shown to be positive definite")
+        require_shown(is_positive(L), "the lower end of the bracket was not shown to be positive definite")
     return L, U
 
 
-def near_factors(c: float) -> tuple[Fraction, Fraction]:
-    """A hair below and above the root kappa >= 1 of kappa - 1 - log kappa = c."""
-    excess = Fraction(near_excess([1.0], c)) if c else Fraction(0)
-    return 1 + excess * (1 - Fraction(1, 2**35)), 1 + excess * (1 + Fraction(1, 2**35))
-
-
-def _gain(kappa: Fraction) -> Interval:
-    """kappa - 1 - log kappa."""
-    return exactly(kappa - 1) - exactly(kappa).log()
+def enclosed_factors(c: Fraction) -> tuple[Fraction, Fraction]:
+    """A hair below and above the root kappa >= 1 of kappa - 1 - log kappa = c; in floating point first."""
+    if not c:
+        return Fraction(1), Fraction(1)
+    excess = Fraction(near_excess([1.0], float(c)))
+    found = 1 + excess * (1 - Fraction(1, 2**35)), 1 + excess * (1 + Fraction(1, 2**35))
+    low, high = (exactly(kappa - 1) - exactly(kappa).log() for kappa in found)
+    require_shown(low.high <= c <= high.low, "the factor kappa of the tolerance was not enclosed")
+    return found
 
 
 def _push(equations: Equations, P: Balls, kappa: Fraction) -> Balls:
     """A ((kappa P)^-1 + S)^-1 A' + Q."""
     return equations.following(equations.at(P.times(exactly(kappa)), exactly(0)))
+
+
+def by_blocks(equations: Equations, P: Balls, way: Bracket) -> tuple[Balls, Balls]:
+    """L and U between which the orbit from P stays from some step on, pushed on by many steps at once.
+
+    T(P, theta) rises with both, and gamma with P. Let L < P < U, a <= theta(U), b >= theta(L), U^-1 - b I + S > 0,
+    L < T(L, a) and T(U, b) < U. Then P_t stays between L and U, theta_t between a and b, T(., a)^j L rises with j,
+    T(., b)^j U falls, and they hold P_t from step j on. At j = 2^k they cost k doublings, however slow the filter is.
+    """
+    L, U = exact(way.lower), exact(way.upper)
+    between_them = is_positive(L) and is_positive(P - L) and is_positive(U - P)
+    require_shown(between_them, "the orbit was not shown to lie between the ends of the bracket")
+    for k in way.blocks:
+        (under, a), (over, b) = bounds(equations, L, U)
+        lowest, highest = many_steps(under, a, L, k), many_steps(over, b, U, k)
+        L = exact(below(lowest - (lowest - L).times(exactly(KEPT))))
+        U = exact(above(highest + (U - highest).times(exactly(KEPT))))
+    return L, U
+
+
+Bound = tuple[Equations, Interval]  # T(., theta), below or above every step of the recursion in a bracket
+
+
+def bounds(equations: Equations, L: Balls, U: Balls) -> tuple[Bound, Bound]:
+    """Such bounds, by which the bracket was shown to be mapped into itself; with one state, V = kappa P instead."""
+    if equations.n == 1:
+        under, over = (inflated(equations, kappa) for kappa in enclosed_factors(equations.c))
+        a = b = exactly(0)
+    else:
+        under = over = equations
+        a, b = exactly(enclose_theta(equations, U).low), exactly(enclose_theta(equations, L).high)
+    # U (U^-1 - b I + S) U > 0
+    inside = is_positive(U + congruence(U, over.S - over.metric.times(b)))
+    require_shown(inside, "U^-1 - theta(L) I + S > 0 was not shown")
+    rises = is_positive(under.following(under.at(L, a, stretched=False)) - L)
+    require_shown(rises, "L < T(L, theta(U)) was not shown")
+    falls = is_positive(U - over.following(over.at(U, b, stretched=False)))
+    require_shown(falls, "T(U, theta(L)) < U was not shown")
+    return (under, a), (over, b)
+
+
+def inflated(equations: Equations, kappa: Fraction) -> Equations:
+    """A ((kappa P)^-1 + S)^-1 A' = kappa A (P^-1 + kappa S)^-1 A' as equations at theta = 0."""
+    x = exactly(kappa)
+    return replace(equations, A=equations.A.times(x.sqrt()), S=equations.S.times(x))
+
+
+def many_steps(equations: Equations, theta: Interval, P: Balls, doublings: int) -> Balls:
+    """T(., theta)^m P = H + F' P (I + G P)^-1 F for m = 2^doublings; m = 1 has F = A', G = S - theta Pi and H = Q.
+
+    From m to 2 m, with W = (I + G H)^-1: F W F, G + F W G F', H + F' H W F.
+    """
+    one, F, G, H = unit(equations.n), equations.A.T, equations.S - equations.metric.times(theta), equations.Q
+    least = Fraction(1, 2 ** (8 * Precision.bits))
+    nothing = [[0] * equations.n for _ in range(equations.n)]
+    for _ in range(doublings):
+        W = inverse(one + G @ H)
+        FW = F @ W
+        G = symmetric(G + (FW @ G).by(F))
+        H = symmetric(H + F.T @ H @ W @ F)
+        F = FW @ F
+        if largest(F.size) <= least:  # it goes to zero like rho^m: no number needs exponents of that size
+            F = Balls(Matrix(nothing), least * Matrix([[1] * equations.n for _ in nothing]))
+    return symmetric(H + F.T @ P @ inverse(one + G @ P) @ F)
 
 
 def between(L: Balls, U: Balls) -> Balls:
@@ -1022,7 +603,7 @@ class Filters:
         key = l, Precision.bits
         if key not in self.prepared:
             C, R = exact(self.at.C[l]), exact(self.at.R[l])
-            _require(is_positive(R), f"R[{l}] was not shown to be positive definite")
+            require_shown(is_positive(R), f"R[{l}] was not shown to be positive definite")
             weighted = C @ inverse(R)
             self.prepared[key] = weighted, symmetric(weighted.by(C))
         return self.prepared[key]
@@ -1082,15 +663,11 @@ def require_gain(filters: Filters, found: Enclosure, stated: dict[int, Matrix], 
     """|stated - A Z C_l' R_l^-1| <= error max |stated|, entry by entry, for every sensor l."""
     equations = found.equations
     AZ = equations.A @ equations.at(found.P, found.theta, stretched=False).Z
-    largest = max((_largest(G) for G in stated.values()), default=Fraction(0))
+    size = max((largest(G) for G in stated.values()), default=Fraction(0))
     for l, G in stated.items():
         if filters.at.p[l]:
-            away = _largest((AZ @ filters.sensor(l)[0] - exact(G)).size)
-            _require(away <= error * largest, "the stated gain may be further from the exact one than is claimed")
-
-
-def _largest(M: Matrix) -> Fraction:
-    return check.scaled(max((abs(x) for row in M.rows for x in row), default=0), M.exponent)
+            away = largest((AZ @ filters.sensor(l)[0] - exact(G)).size)
+            require_shown(away <= error * size, "the stated gain may be further from the exact one than is claimed")
 
 
 def derivative(found: Enclosure) -> Balls:
@@ -1121,7 +698,7 @@ def repelling(claim: dict[str, Any], at: Deployment) -> str:
 
     def show() -> None:
         J, weighted = derivative(filters.enclosure(node, c, box)), weighed(X, at.n)
-        _require(is_positive(congruence(J.T, weighted) - weighted), "J' X J - X > 0 was not shown")
+        require_shown(is_positive(congruence(J.T, weighted) - weighted), "J' X J - X > 0 was not shown")
 
     at_some(PRECISIONS, show)
     return (
@@ -1140,7 +717,9 @@ def tolerance(claim: dict[str, Any], at: Deployment) -> str:
     def show() -> None:
         found = local_tolerance(filters.enclosure("centre", c, box), filters.information(node))
         # c_k is never negative, so that 0 is always a lower bound
-        _require((low <= 0 or found.low >= low) and found.high <= high, "the tolerance may lie outside the interval")
+        require_shown(
+            (low <= 0 or found.low >= low) and found.high <= high, "the tolerance may lie outside the interval"
+        )
 
     at_some(PRECISIONS, show)
     return (
@@ -1163,12 +742,15 @@ def local_tolerance(centre: Enclosure, S: Balls) -> Interval:
 
 
 def converging(claim: dict[str, Any], at: Deployment) -> str:
-    """`convergence`: the orbit from V_0, enclosed step by step, ends in a region of contraction."""
-    filters, node, c, proof = _opened(claim, at, "proof", "box", "factor", "Y", "rate", "radius", "steps", "bits")
+    """`convergence`: the orbit from V_0, step by step, ends in a region of contraction, or in a bracket that does."""
+    keys = "box", "factor", "Y", "rate", "radius", "steps", "bits"
+    blocks = tuple(Bracket._fields) if _has_some(claim["proof"], Bracket._fields) else ()
+    filters, node, c, proof = _opened(claim, at, "proof", *keys, *blocks)
     box, region = _box(proof["box"], at.n, c), _region(proof, at.n)
     start = check.symmetric(claim["start"], at.n, "start")
     steps, bits = check.whole(proof, "proof.steps", 1, MOST_STEPS), check.whole(proof, "proof.bits", 64, MOST_BITS)
     check.require(steps * bits <= MOST_WORK, "so many steps and bits are not tried")
+    way = _bracket(proof, at.n) if blocks else None
 
     def contracting() -> Enclosure:
         found = filters.enclosure(node, c, box)
@@ -1178,8 +760,13 @@ def converging(claim: dict[str, Any], at: Deployment) -> str:
     found = at_some(PRECISIONS, contracting)
 
     def arriving() -> None:
-        end = orbit(filters.equations(node, c), start, steps)
-        region.require_inside(found, region.seen(found, end))
+        equations = filters.equations(node, c)
+        end = orbit(equations, start, steps)
+        if way is None:
+            region.require_inside(found, region.seen(found, end))
+        else:
+            ends = by_blocks(equations, end, way)
+            region.require_inside(found, between(*(region.seen(found, M) for M in ends)))
 
     at_some((bits, 2 * bits), arriving)
     return (
@@ -1190,10 +777,10 @@ def converging(claim: dict[str, Any], at: Deployment) -> str:
 def orbit(equations: Equations, start: Matrix, steps: int) -> Balls:
     """P_steps, from V_0 = start and P_1 = A (V_0^-1 + S)^-1 A' + Q."""
     V = exact(start)
-    _require(is_positive(V), "the start was not shown to be positive definite")
+    require_shown(is_positive(V), "the start was not shown to be positive definite")
     P = Around.of(equations.following(equations.at(V, exactly(0))))
     for _ in range(steps - 1):
-        check.Clock.check()
+        Clock.check()
         P = step(equations, P)
     return P.hull()
 
@@ -1217,7 +804,24 @@ def converging_for_all(claim: dict[str, Any], at: Deployment) -> str:
     return f"The covariances of the filter of {_who(node, c)} converge to one steady state from every start."
 
 
-RULES = {  # as those of check.py: keys of its own, and what verifies it
+def in_time(verify: Callable[[dict[str, Any], Deployment], str]) -> Callable[[dict[str, Any], Deployment], str]:
+    """The same, but declined where it takes too long: the claims after it have their turn."""
+
+    def within(claim: dict[str, Any], at: Deployment) -> str:
+        whole, Clock.end = Clock.end, min(Clock.end, process_time() + LONGEST)
+        try:
+            return verify(claim, at)
+        except Declined as declined:
+            if process_time() > whole:
+                raise
+            raise Declined(f"the claim takes more than {LONGEST} seconds") from declined
+        finally:
+            Clock.end = whole
+
+    return within
+
+
+VERIFIERS = {  # as the rules of check.py: keys of its own, and what verifies it
     ("steady-state", "proved"): (("node", "c", "gain_error"), steady_state),
     ("attraction", "proved"): (("node", "c", "rate"), attracting),
     ("attraction", "refuted"): (("node", "c"), repelling),
@@ -1225,6 +829,9 @@ RULES = {  # as those of check.py: keys of its own, and what verifies it
     ("convergence", "proved"): (("node", "c", "start"), converging),
     ("convergence-all", "proved"): (("node", "c"), converging_for_all),
 }
+
+
+RULES = {key: (own, in_time(verify)) for key, (own, verify) in VERIFIERS.items()}
 
 
 def _opened(claim: dict[str, Any], at: Deployment, evidence: str, *keys: str) -> tuple[Filters, Node, Fraction, Any]:
@@ -1257,6 +864,19 @@ def _region(proof: dict[str, Any], n: int) -> Region:
     rate, radius = _number(proof, "rate"), _number(proof, "radius")
     check.require(0 < rate < 1 and radius > 0, "proof: expected a rate between 0 and 1, and a radius above 0")
     return Region(L, Y, Fraction(rate), Fraction(radius))
+
+
+def _has_some(thing: Any, keys: Sequence[str]) -> bool:
+    return isinstance(thing, dict) and any(key in thing for key in keys)
+
+
+def _bracket(proof: dict[str, Any], n: int) -> Bracket:
+    low, high = (check.symmetric(proof[key], n, f"proof.{key}") for key in ("lower", "upper"))
+    blocks = proof["blocks"]
+    known = isinstance(blocks, list) and all(type(k) is int and 0 <= k <= MOST_DOUBLINGS for k in blocks)
+    check.require(known, f"proof.blocks: expected whole numbers from 0 to {MOST_DOUBLINGS}")
+    check.require(len(blocks) <= MOST_BLOCKS, f"proof.blocks: more than {MOST_BLOCKS} are not tried")
+    return Bracket(low, high, blocks)
 
 
 def _who(node: Node, c: Fraction) -> str:

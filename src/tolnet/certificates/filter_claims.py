@@ -174,13 +174,16 @@ _KEYS: dict[tuple[str, str], tuple[set[str], str, set[str]]] = {
     ("convergence-all", "proved"): (set(), "proof", _REGION | {"lower", "upper"}),
 }
 """A claim's own keys, whether it has a proof or a witness, and the keys of that."""
+_BY_BLOCKS = {"lower", "upper", "blocks"}
+"""What a proof of `convergence` may hold too, all of it or none."""
 _WHOLE = {"steps", "bits"}
 
 
 def misshapen(claim: Mapping[str, Any]) -> str | None:
     """What in the form of a claim about a filter is not as docs/certificate.md has it; None where nothing is.
 
-    Afterwards every value is a text, a whole number or null, but for the proof or the witness and the box in it.
+    Afterwards every value is a text, a whole number or null, but for the proof or the witness, the box in it, and
+    a list of whole numbers.
     """
     name, verdict = claim.get("claim"), claim.get("verdict")
     if not (isinstance(name, str) and isinstance(verdict, str) and (name, verdict) in _KEYS):
@@ -189,6 +192,8 @@ def misshapen(claim: Mapping[str, Any]) -> str | None:
     if claim.keys() != _OPENING | own | {evidence}:
         return "its keys are not those of such a claim"
     given = claim[evidence]
+    if isinstance(given, dict) and name == "convergence" and given.keys() == held | _BY_BLOCKS:
+        held = held | _BY_BLOCKS
     if not isinstance(given, dict) or given.keys() != held:
         return f"the keys of its {evidence} are not those of such a claim"
     box = given["box"]
@@ -196,7 +201,10 @@ def misshapen(claim: Mapping[str, Any]) -> str | None:
         return "the keys of its box are not those of a box"
     if any(type(given[key]) is not int for key in held & _WHOLE):
         return "its numbers of steps and bits are no whole numbers"
-    texts = [*(given[key] for key in held - _WHOLE - {"box"}), *box.values(), claim["statement"]]
+    blocks = given.get("blocks", [])
+    if not (isinstance(blocks, list) and all(type(doublings) is int for doublings in blocks)):
+        return "blocks is no list of whole numbers"
+    texts = [*(given[key] for key in held - _WHOLE - {"box", "blocks"}), *box.values(), claim["statement"]]
     if not all(isinstance(text, str) for text in [*texts, claim["c"], *(claim[key] for key in own)]):
         return "its numbers are not written as texts"
     if claim["margin"] is not None or claim["reason"] is not None:
