@@ -44,6 +44,33 @@ def certificate(tolnet: Tolnet, small: Path, tmp_path: Path) -> Path:
     return path
 
 
+SLOW = """schema = "tolnet.problem/1"
+[plant]
+A = [[0.999, 0.02, 0.0], [0.0, 0.9, 0.1], [0.0, 0.0, 0.5]]
+B = [[1e-4, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3]]
+[network]
+nodes = 2
+edges = [[0, 1]]
+[[sensors]]
+C = [[0.01, 1.0, 0.3]]
+R = [[0.04]]
+[[sensors]]
+C = [[0.0, 0.2, 1.0]]
+R = [[1.0]]
+[ambiguity]
+tolerance = 1e-8
+"""
+
+
+def test_what_is_proved_of_slow_filters_is_checked(tolnet: Tolnet, tmp_path: Path):
+    """By a bracket, whose keys other proofs of convergence do not have."""
+    problem, path = tmp_path / "slow.toml", tmp_path / "slow.json"
+    problem.write_text(SLOW)
+    assert tolnet("certify", problem, "-o", path).code == 0
+    assert any("blocks" in claim["proof"] for claim in json.loads(path.read_text())["claims"])
+    assert tolnet("check", path, "--problem", problem).code == 0
+
+
 def change(path: Path, **changes: Any) -> Path:
     document = json.loads(path.read_text()) | changes
     path.write_text(json.dumps(document))

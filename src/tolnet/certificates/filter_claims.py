@@ -174,13 +174,17 @@ _KEYS: dict[tuple[str, str], tuple[set[str], str, set[str]]] = {
     ("convergence-all", "proved"): (set(), "proof", _REGION | {"lower", "upper"}),
 }
 """A claim's own keys, whether it has a proof or a witness, and the keys of that."""
+_BRACKET = {"lower", "upper", "blocks"}
+"""Which a proof of `convergence` of a slow filter has besides: all of them or none."""
 _WHOLE = {"steps", "bits"}
+_WHOLES = {"blocks"}
 
 
 def misshapen(claim: Mapping[str, Any]) -> str | None:
     """What in the form of a claim about a filter is not as docs/certificate.md has it; None where nothing is.
 
-    Afterwards every value is a text, a whole number or null, but for the proof or the witness and the box in it.
+    Afterwards every value is a text, a whole number (`blocks`: a list of such) or null, but for the proof or the
+    witness and the box in it.
     """
     name, verdict = claim.get("claim"), claim.get("verdict")
     if not (isinstance(name, str) and isinstance(verdict, str) and (name, verdict) in _KEYS):
@@ -189,6 +193,8 @@ def misshapen(claim: Mapping[str, Any]) -> str | None:
     if claim.keys() != _OPENING | own | {evidence}:
         return "its keys are not those of such a claim"
     given = claim[evidence]
+    if name == "convergence" and isinstance(given, dict) and given.keys() & _BRACKET:
+        held = held | _BRACKET
     if not isinstance(given, dict) or given.keys() != held:
         return f"the keys of its {evidence} are not those of such a claim"
     box = given["box"]
@@ -196,7 +202,9 @@ def misshapen(claim: Mapping[str, Any]) -> str | None:
         return "the keys of its box are not those of a box"
     if any(type(given[key]) is not int for key in held & _WHOLE):
         return "its numbers of steps and bits are no whole numbers"
-    texts = [*(given[key] for key in held - _WHOLE - {"box"}), *box.values(), claim["statement"]]
+    if not all(isinstance(given[key], list) and all(type(k) is int for k in given[key]) for key in held & _WHOLES):
+        return "its blocks are no list of whole numbers"
+    texts = [*(given[key] for key in held - _WHOLE - _WHOLES - {"box"}), *box.values(), claim["statement"]]
     if not all(isinstance(text, str) for text in [*texts, claim["c"], *(claim[key] for key in own)]):
         return "its numbers are not written as texts"
     if claim["margin"] is not None or claim["reason"] is not None:
