@@ -85,7 +85,7 @@ def steady_state_of_one(filter_: ExactFilter) -> tuple[ndarray, float]:
 
 def test_without_numbers_for_a_bracket_the_orbit_alone_proves_it():
     """An unstable mode that no noise drives: doubling overflows, the orbit goes where it should."""
-    A, B = np.array([[0.95, -0.3], [0.0, 1.05]]), np.array([[0.9], [0.0]])
+    A, B = np.array([[0.95, -0.3], [0.0, 1.05]]), np.array([[0.95], [0.0]])
     solved = centre(SensorNetwork(A=A, B=B, C=[np.array([[0.1, 0.1]])], R=[np.eye(1)]), 0.0)
     claim = prove_convergence(solved.exact, solved.box(), np.eye(2))
     assert isinstance(claim, dict), claim
