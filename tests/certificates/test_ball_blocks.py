@@ -83,6 +83,16 @@ def steady_state_of_one(filter_: ExactFilter) -> tuple[ndarray, float]:
         return np.array([[float(P)]]), float((1 - 1 / kappa) / P)
 
 
+def test_without_numbers_for_a_bracket_the_orbit_alone_proves_it():
+    """An unstable mode that no noise drives: doubling overflows, the orbit goes where it should."""
+    A, B = np.array([[0.95, -0.3], [0.0, 1.05]]), np.array([[0.95], [0.0]])
+    solved = centre(SensorNetwork(A=A, B=B, C=[np.array([[0.1, 0.1]])], R=[np.eye(1)]), 0.0)
+    claim = prove_convergence(solved.exact, solved.box(), np.eye(2))
+    assert isinstance(claim, dict), claim
+    assert "blocks" not in claim["proof"]
+    assert verify_convergence(solved.exact, claim) is None
+
+
 @pytest.mark.parametrize("c", [0.0, 1e-8])
 def test_a_block_holds_the_orbit_step_by_step(c: float):
     """After 2^6 and 2^6 + 2^6 steps, and for ever: P_t lies between the ends of the bracket."""

@@ -68,7 +68,7 @@ def test_a_smaller_tolerance_that_is_suggested_has_an_answer(network, tolnet: To
     path = saved(network(), tmp_path)
     ran = tolnet("table", path)
     assert ran.code == 4
-    assert "; a smaller one " in ran.err
+    assert "; at a smaller tolerance " in ran.err
     (words,) = with_tolerance(ran)
     assert tolnet(*words).code == 0
 

@@ -103,7 +103,10 @@ class Lookahead:
             if len(found) == MOST_BLOCKS or not gap < _STALLED * before:
                 return None
             before = gap
-            (below, k), (above, j) = self._pushed(L, self.theta_of(U)), self._pushed(U, self.theta_of(L))
+            try:
+                (below, k), (above, j) = self._pushed(L, self.theta_of(U)), self._pushed(U, self.theta_of(L))
+            except np.linalg.LinAlgError:  # an unstable mode that no noise drives: F grows with every doubling
+                return None
             found.append(max(j, k))
             L, U = below - _KEPT * (below - L), above + _KEPT * (U - above)
         return tuple(found)

@@ -325,7 +325,7 @@ def _worst_case(data: Any, rows: Sequence[Row], network: SensorNetwork, against:
         return not_compared(name, against.problem, "the model that follows was not computed")
     if not worst.exists:
         wrong.append("whether there is one")
-    elif not _alike(*(L.T @ T @ L for T in (stated.tilt @ stated.tilt.T, worst.tilt)), np.ones(len(P))):
+    elif not _alike((L.T @ stated.tilt) @ (L.T @ stated.tilt).T, L.T @ worst.tilt @ L, np.ones(len(P))):
         wrong.append("its tilt")
     right = f"the stated model follows from the centre's exact steady state, within {ALIKE:g}"
     return compared_row(name, against.problem, wrong, right)

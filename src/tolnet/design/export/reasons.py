@@ -54,7 +54,7 @@ class Reasons:
             return "the central filter has no answer, so there is no c_k"
         match status:
             case Status.UNDETECTABLE:
-                heard = "no sensor" if k is None else f"no sensor that it hears (nodes {self._heard(k)})"
+                heard = "no sensor" if k is None else f"no sensor that it hears ({self._heard(k)})"
                 modes = seen.offending(k)
                 decay = "do not decay" if len(modes) > 1 else "does not decay"
                 return f"{heard} sees all of {self._named(modes)}, which {decay}"
@@ -65,19 +65,23 @@ class Reasons:
             case Status.OSCILLATES:
                 return (
                     "a steady state exists, but the filter never settles on it (attraction"
-                    f" {float(filter.attraction):.4g} is not below 1){self._way_out(k, 'settles')}"
+                    f" {float(filter.attraction):.4g} is not below 1){self._way_out(k, 'it settles')}"
                 )
             case Status.DIVERGES:
-                return f"the covariance grows without bound at this tolerance{self._way_out(k, 'has an answer')}"
+                return f"the covariance grows without bound at this tolerance{self._way_out(k, 'there is an answer')}"
             case _ if filter.tolerance == 0:
                 return f"no Kalman filter was found{_ended(filter)}"
             case _:
-                return f"none was found at this tolerance{_ended(filter)}{self._way_out(k, 'has an answer')}"
+                return f"none was found at this tolerance{_ended(filter)}{self._way_out(k, 'there is an answer')}"
 
     def _way_out(self, k: int | None, helped: str) -> str:
         """Whether a smaller tolerance helps: at hardly any, this filter was tried."""
         little = self._at_little.central if k is None else self._at_little.local[k]
-        return f"; a smaller one {helped}" if little.settles else f", nor at {little.tolerance:.3g} (gamma scale)"
+        return (
+            f"; at a smaller tolerance {helped}"
+            if little.settles
+            else f", nor at {little.tolerance:.3g} (gamma scale)"
+        )
 
     @cached_property
     def _at_little(self) -> ToleranceTable:
@@ -85,7 +89,8 @@ class Reasons:
 
     def _heard(self, k: int) -> str:
         heard = self._table.network.neighbours(k).tolist()
-        return ", ".join(map(str, heard[:NAMED_AT_MOST])) + (", ..." if len(heard) > NAMED_AT_MOST else "")
+        more = ", ..." if len(heard) > NAMED_AT_MOST else ""
+        return f"node{'s' if len(heard) > 1 else ''} {', '.join(map(str, heard[:NAMED_AT_MOST]))}{more}"
 
     def _named(self, modes: Sequence[Mode]) -> str:
         """Modes of A as people write eigenvalues, each with the labels of the states that carry it."""
