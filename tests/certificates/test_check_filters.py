@@ -303,7 +303,7 @@ def test_nothing_altered_is_valid_that_balls_refuse(name: str) -> None:
     of_data = [
         what for what, _ in every if "('data'" in what or what.startswith(("node ", "n ", "nodes ", "directed "))
     ]
-    left_out = set(of_data) - set(of_data[::12])  # most make no network at all, or another one
+    left_out = set(of_data) - set(of_data[:: sized(24, 4)])  # most make no network at all, or another one
     for what, altered in every:
         if what in left_out:
             continue
