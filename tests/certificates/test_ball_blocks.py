@@ -10,10 +10,11 @@ from numpy import ndarray
 from tests.certificates.ball_filters import Solved, at, centre, projectile, scalar
 from tests.reference.exact import mp, mpf
 
-from tolnet.certificates import balls, convergence
+from tolnet.certificates import balls, convergence, statements
 from tolnet.certificates.blocks import Bracket, end_of
 from tolnet.certificates.convergence import prove_convergence, verify_convergence
 from tolnet.certificates.exact_filter import ExactFilter
+from tolnet.certificates.filter_claims import misshapen
 from tolnet.certificates.fixed_point import Box, find_box
 from tolnet.certificates.numerals import symmetric_matrix, symmetric_text
 from tolnet.certificates.recursion import first_covariance, step
@@ -158,6 +159,23 @@ def test_what_proves_nothing_is_refused():
     for blocks in (12, "12", [1.0], [True]):
         with pytest.raises(ValueError, match="whole numbers"):
             verify_convergence(exact, claim | {"proof": proof | {"blocks": blocks}})
+
+
+def test_a_proof_has_all_keys_of_a_bracket_or_none():
+    """What is found out about the form of an entry, before anything is computed."""
+    keys = proved(1e-8)
+    proof = keys["proof"]
+    opening = {"claim": "convergence", "node": "centre", "verdict": "proved", "margin": None, "reason": None}
+    entry = opening | keys
+    entry["statement"] = statements.of_filter_claim(entry)
+    plain = {key: value for key, value in proof.items() if key not in ("lower", "upper", "blocks")}
+    assert misshapen(entry) is None
+    assert misshapen(entry | {"proof": plain}) is None
+    for missing in ("lower", "upper", "blocks"):
+        assert misshapen(entry | {"proof": {k: v for k, v in proof.items() if k != missing}})
+    assert misshapen(entry | {"proof": plain | {"blocks": proof["blocks"]}})
+    for blocks in (12, "12", [1.0], [True], [[1]], None):
+        assert "whole numbers" in str(misshapen(entry | {"proof": proof | {"blocks": blocks}}))
 
 
 def test_a_bracket_that_the_orbit_could_leave_is_refused():

@@ -20,7 +20,7 @@ from tolnet.certificates.exact import Exact
 from tolnet.certificates.exact_network import ExactNetwork
 from tolnet.certificates.performance import ExactDynamics, contracts, prove_performance, verify_performance
 from tolnet.certificates.verdicts import Proved, Undecided
-from tolnet.certificates.verify import can_verify, verify_claims
+from tolnet.certificates.verify import NotChecked, can_verify, verify_claims
 from tolnet.cli.evidence import Evidence
 
 CASES = [(0, False, False), (1, True, False), (2, False, True), (3, True, True), (5, False, False)]
@@ -159,7 +159,7 @@ def test_what_is_altered_is_not_verified(certified: tuple[Deployed, dict[str, An
     assert can_verify(claim)
     assert verify_performance(network, claim) is None
 
-    def altered(change: Any) -> str | None:
+    def altered(change: Any) -> str | NotChecked | None:
         other = copy.deepcopy(claim)
         change(other)
         return verify_claims([other], deployed)[0]

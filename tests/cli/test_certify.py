@@ -44,10 +44,76 @@ def certificate(tolnet: Tolnet, small: Path, tmp_path: Path) -> Path:
     return path
 
 
+SLOW = """schema = "tolnet.problem/1"
+[plant]
+A = [[0.999, 0.02, 0.0], [0.0, 0.9, 0.1], [0.0, 0.0, 0.5]]
+B = [[1e-4, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.3]]
+[network]
+nodes = 2
+edges = [[0, 1]]
+[[sensors]]
+C = [[0.01, 1.0, 0.3]]
+R = [[0.04]]
+[[sensors]]
+C = [[0.0, 0.2, 1.0]]
+R = [[1.0]]
+[ambiguity]
+tolerance = 1e-8
+"""
+
+
+def test_what_is_proved_of_slow_filters_is_checked(tolnet: Tolnet, tmp_path: Path):
+    """By a bracket, whose keys other proofs of convergence do not have."""
+    problem, path = tmp_path / "slow.toml", tmp_path / "slow.json"
+    problem.write_text(SLOW)
+    assert tolnet("certify", problem, "-o", path).code == 0
+    assert any("blocks" in claim["proof"] for claim in json.loads(path.read_text())["claims"])
+    assert tolnet("check", path, "--problem", problem).code == 0
+
+
 def change(path: Path, **changes: Any) -> Path:
     document = json.loads(path.read_text()) | changes
     path.write_text(json.dumps(document))
     return path
+
+
+HARDLY_DRIVEN = """schema = "tolnet.problem/1"
+[plant]
+A = [
+    [0.14341763334473295, -0.22330091900258917, -0.21382626914323358, 0.27676812651786],
+    [-0.04949229251784883, -0.33447107199750337, -0.29713301329150127, 0.15995227625930147],
+    [0.1106615383825485, 0.08633866275745199, -0.5399195698275043, -0.005445440969385936],
+    [-0.06990626958703698, -0.06297889293117823, 0.2639325130767843, -0.17614490364458307],
+]
+B = [
+    [-0.05511885483795887, 0.8612115810456307, 0.24828481121740134, -0.09964429992500763],
+    [-0.02846475516527937, 0.4447511994155208, 0.12822048617704643, -0.0514588086043605],
+    [0.006105799782170252, -0.09540084725495812, -0.02750378870396461, 0.011038112857758239],
+    [0.04694201817656774, -0.7334515540783126, -0.21145196452761875, 0.08486215033338194],
+]
+[network]
+nodes = 1
+edges = []
+[[sensors]]
+C = [[-0.16226859621481027, -0.6420645377937738, 0.4769803584185425, 1.195782089087315]]
+R = [[0.14839708994977419]]
+[ambiguity]
+tolerance = 1.4032226786645505
+"""
+
+
+def test_a_tilt_is_compared_where_it_moves_something(tolnet: Tolnet, tmp_path: Path):
+    """The noise hardly drives some directions: there T has six digits, and nothing rests on the rest."""
+    problem, path = tmp_path / "p.toml", tmp_path / "c.json"
+    problem.write_text(HARDLY_DRIVEN)
+    assert tolnet("certify", problem, "-o", path).code == 0
+    assert tolnet("check", path, "--problem", problem).code == 0
+    document = json.loads(path.read_text())
+    centre = document["data"]["centre"]
+    centre["tilt"] = " ".join((float.fromhex(entry) * (1 + 1e-8)).hex() for entry in centre["tilt"].split())
+    altered = tolnet("check", change(path, data=document["data"]), "--problem", problem)
+    assert altered.code == 1
+    assert "differs in its tilt" in altered.err
 
 
 @pytest.mark.parametrize("c", [0.02, 0.06])

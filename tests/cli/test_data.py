@@ -151,7 +151,7 @@ def test_a_bad_record_is_refused_with_its_array(damage: str, tolnet: Tolnet, pro
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--data", "nowhere.npz"], "nowhere.npz: No such file or directory"),
+        (["--data", "nowhere.npz"], "nowhere.npz: does not exist"),
         (["--data", "junk.npz"], "junk.npz: is no archive of arrays (.npz)"),
         (["--data", "recorded.npz", "-c", "0.1"], "--tolerance and --data are given; one of them was expected"),
         (["--data", "recorded.npz", "-o", "recorded.npz"], "it is an input of this command"),

@@ -164,4 +164,4 @@ def test_problems_of_another_family_are_compared_with_uniform_tolerances(tolnet:
 def test_a_missing_table_is_refused(tolnet: Tolnet, problem, tmp_path: Path):
     ran = tolnet("diff", tmp_path / "missing.json", problem("same"))
     assert ran.code == 2
-    assert "missing.json: cannot be read: No such file or directory" in ran.err
+    assert "missing.json: does not exist" in ran.err

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.cli.conftest import Tolnet
+from tests.study import sized
 
 from tolnet import model
 from tolnet.model import InputError, SensorNetwork
 
-STUDY = os.environ.get("TOLNET_STUDY") == "full"
-RANDOM = range(200) if STUDY else range(2)
+RANDOM = sized(range(1), range(200))
 COMMANDS = (
     ("table",),
     ("performance",),
@@ -33,7 +32,7 @@ MORE = (
     ("diffusion", "--with-gains"),
     ("diffusion", "--compare"),
 )
-NO_TOLERANCE = (("validate",), ("observability",)) if STUDY else (("validate",),)
+NO_TOLERANCE = sized((("validate",),), (("validate",), ("observability",)))
 
 
 def pair(**keys: Any) -> SensorNetwork:

@@ -103,9 +103,12 @@ def a_laugh(folder: Path) -> Path:
     return written(folder, f'{OPENING}[network]\ngraphml = "g.graphml"\n{2 * SENSOR}')
 
 
+DEEP = " . ".join(100_000 * ["'a'", '"b"'])
 ABSURD: list[tuple[Callable[[Path], Path], str]] = [
     (lambda folder: written(folder, f"{OPENING}{TWO}x = {'[' * 2000}{']' * 2000}\n"), "is nested too deeply"),
     (lambda folder: written(folder, f"{OPENING}{TWO}[{'.'.join('a' * 2000)}]\n"), "is nested too deeply"),
+    (lambda folder: written(folder, f"{OPENING}{TWO}{'.'.join('a' * 200_000)} = 1\n"), "is nested too deeply"),
+    (lambda folder: written(folder, f"{OPENING}{TWO}x = {{{DEEP} = 1}}\n"), "is nested too deeply"),
     (lambda folder: written(folder, f"{'k' * 5_000_000} = 1\n{OPENING}{TWO}"), "is no known key"),
     (a_bomb, "more than 100 times as much"),
     (a_graph_of_many, "network has a graph of 200,000 nodes; there are 2 sensors"),

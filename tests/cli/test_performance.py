@@ -162,7 +162,7 @@ def test_some_filters_have_an_answer_where_others_have_none(tolnet: Tolnet, blin
     assert "no answer: KFD, RKFDU, RKFDNU, RKFDNU2: undetectable: the filter of node hill" in ran.err
     shown = tolnet("performance", blind)
     assert shown.code == 4
-    assert f"tolnet table {blind} --limits" in shown.out
+    assert "--limits" not in shown.out  # no tolerance helps
     row = next(line.split() for line in shown.out.splitlines() if line.split()[:1] == ["KFD"])
     assert row[1:5] == ["-"] * 4
 

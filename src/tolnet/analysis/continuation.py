@@ -106,7 +106,7 @@ def upper_bracket(recursion: Recursion) -> tuple[Float[ndarray, "K n n"], Bool[n
         A, S = np.sqrt(kappa[k]) * recursion.A, kappa[k] * recursion.S[[k]]
         solution = solve_riccati(A, recursion.Q, S, np.eye(n))
         P[k] = solution.P[0]
-        loop = A @ np.linalg.inv(np.eye(n) + P[k] @ S[0]) if np.isfinite(P[k]).all() else np.eye(n)
+        loop = A @ stacked.solve(np.eye(n)[None] + P[[k]] @ S, np.eye(n)[None])[0]
         settled = is_valid(solution.P, np.zeros(1), solution.residual)[0]
         exists[k] = settled and stacked.spectral_radius(loop[None])[0] < 1
     return P, exists

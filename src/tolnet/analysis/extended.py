@@ -69,6 +69,7 @@ class Extended:
     theta: float
     spectral_radius: float
     attraction: float
+    """NaN at c > 0 for more than MOST_DENSE states: the derivative is left to Arnoldi's method in doubles."""
     riccati_residual: float
     tolerance_residual: float
     iterations: int
@@ -115,7 +116,7 @@ def solve_extended(
     count = Count()
     if near is not None:
         try:
-            return _finish(plant, c, *newton(plant, c, matrix(near[0]), number(near[1]), count), count)
+            return _finish(plant, c, *newton(plant, c, symmetric(matrix(near[0])), number(near[1]), count), count)
         except (NoAnswer, ZeroDivisionError) as end:
             if only_near:
                 raise NoAnswer(str(end)) from None
@@ -211,10 +212,14 @@ def _finish(plant: Plant, c: float, P: Matrix, theta: Any, count: Count) -> tupl
     V = symmetric(P * M)
     _, Z = step(plant, P, theta)
     loop = plant.A * solve(eye + V * plant.S, eye)  # A Z V^-1
-    spectral_radius = radius(loop)
+    units = inverse_units(V)
+    spectral_radius = _radius_in_units(loop, [units[i, i] for i in range(plant.n)])
     if c == 0 and not spectral_radius < 1:
         raise NoAnswer("rounding hides whether the Riccati solution stabilises")
-    slope = Slope.at(plant, P, theta, Z, M)
+    attraction = spectral_radius**2  # at c = 0 the derivative is M dP M'
+    if c > 0:
+        slope = Slope.at(plant, P, theta, Z, M)
+        attraction = _attraction(slope, P, theta) if plant.n <= MOST_DENSE else math.nan
     state = Extended(
         P=rounded(P),
         V=rounded(V),
@@ -222,7 +227,7 @@ def _finish(plant: Plant, c: float, P: Matrix, theta: Any, count: Count) -> tupl
         gain=None if plant.weighted is None else rounded(plant.A * Z * plant.weighted),
         theta=float(theta),
         spectral_radius=spectral_radius,
-        attraction=_attraction(slope, P, theta),
+        attraction=attraction,
         riccati_residual=riccati,
         tolerance_residual=mismatch,
         iterations=count.total,
@@ -237,7 +242,7 @@ def _attraction(slope: Slope, P: Matrix, theta: Any) -> float:
     """
     from flint import arb_mat
 
-    n, units, upper = P.nrows(), inverse_units(P), upper_triangle(P.nrows())
+    units, upper = inverse_units(P), upper_triangle(P.nrows())
     weight = (slope.pull * P).trace()
     factor = theta / weight if theta > 0 else number(0)
     pull = [factor * (1 if k == l else 2) * slope.pull[k, l] for k, l in upper]
@@ -250,4 +255,14 @@ def _attraction(slope: Slope, P: Matrix, theta: Any) -> float:
     ]
     whole = middle(arb_mat(rows))
     found, error = radius_with_error(rounded(whole))
-    return radius(whole) if error > 1e-9 * found and n <= MOST_DENSE else found
+    return radius(whole) if error > 1e-9 * found else found
+
+
+def _radius_in_units(F: Matrix, inverse_variances: list[Any]) -> float:
+    """Spectral radius: in doubles and in the units of the states where that keeps nine digits."""
+    from flint import arb_mat
+
+    n, inverse = F.nrows(), [x.sqrt() for x in inverse_variances]
+    scaled = arb_mat([[F[i, j] * inverse[i] / inverse[j] for j in range(n)] for i in range(n)])
+    found, error = radius_with_error(rounded(scaled))
+    return found if error <= 1e-9 * found else radius(F)

@@ -21,7 +21,7 @@ else:
 
 BITS = 320
 """Working precision: a double has 53 bits, so that 240 may be lost before six digits are in danger."""
-_NO_VARIANCE = 2.0**-260
+_NO_VARIANCE = 1e-80
 
 
 class NoAnswer(Exception):
@@ -112,22 +112,16 @@ def inverse_units(P: Matrix) -> Matrix:
 
 
 def distance(X: Matrix, Y: Matrix) -> float:
-    """max |X_ij - Y_ij| / sqrt(X_ii X_jj): a change in the units of each state.
+    """max |X_ij - Y_ij| / sqrt(X_ii X_jj): a change in the units of each state; inf where that is no number.
 
-    A variance below 2^-260 of the largest, beyond the range of units, is none: a state that is known exactly.
+    A variance below 1e-80 of the largest, beyond the range of units, is none: a state that is known exactly.
     """
-    n = X.nrows()
-    variances = [abs(X[i, i].mid()) for i in range(n)]
-    least = max(variances) * _NO_VARIANCE
-    scale = [max(x, least).sqrt() for x in variances]
-    worst = 0.0
-    for i in range(n):
-        for j in range(i, n):
-            gap = abs((X[i, j] - Y[i, j]).mid())
-            if gap != 0:
-                size = scale[i] * scale[j]
-                worst = max(worst, float((gap / size).mid()) if size > 0 else math.inf)
-    return worst if not math.isnan(worst) else math.inf
+    gap, variance = np.abs(rounded(X - Y)), np.abs(np.diag(rounded(X)))
+    scale = np.sqrt(np.maximum(variance, _NO_VARIANCE * variance.max()))
+    with np.errstate(all="ignore"):
+        ratio = np.where(gap == 0, 0.0, gap / scale[:, None] / scale)
+    worst = float(ratio.max())
+    return math.inf if math.isnan(worst) else worst
 
 
 def radius(F: Matrix) -> float:
@@ -140,6 +134,8 @@ def radius(F: Matrix) -> float:
 
 def radius_with_error(F: Float[ndarray, "d d"]) -> tuple[float, float]:
     """Spectral radius, and what rounding may do to it: d eps |F| / |y* x| for unit eigenvectors y, x."""
+    if not np.isfinite(F).all():
+        return math.nan, math.inf
     solved: Any = scipy.linalg.eig(F, left=True, right=True)
     values, left, right = solved
     largest = int(np.abs(values).argmax())

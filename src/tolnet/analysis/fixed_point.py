@@ -328,10 +328,12 @@ def attraction(slope: Derivative) -> Float[ndarray, " K"]:
     n = slope.U.shape[-1]
     if n <= DENSE_UP_TO:
         return stacked.spectral_radius(slope.matrix())
-    d = n * (n + 1) // 2
+    radius = np.full(len(slope.loop), np.nan)
     finite = stacked.finite_members(slope.loop) & stacked.finite_members(slope.thrust)
-    radius = np.full(len(finite), np.nan)
-    todo = np.flatnonzero(finite)
+    plain = finite & slope.separable & (slope.a == 0).all(axis=-1)
+    radius[plain] = stacked.spectral_radius(slope.loop[plain]) ** 2  # at c = 0 the derivative is K dP K'
+    d = n * (n + 1) // 2
+    todo = np.flatnonzero(finite & ~plain)
     for order in (min(d, 30), min(d, 80)):
         if todo.size:
             radius[todo], error = _arnoldi_radius(slope.part(todo), order)

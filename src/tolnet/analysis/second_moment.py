@@ -20,7 +20,8 @@ from tolnet.analysis.drkf import step_second_moment
 from tolnet.analysis.stacked import symmetric_part
 from tolnet.model import CorruptedNetwork, UnsupportedError
 
-_CLUSTER = 1e-3  # eigenvalues this close to one that does not decay may be it, defective and split by rounding
+_CLUSTER = 1e-3  # an eigenvalue farther than this from one that does not decay is not it, split by rounding
+_ROOM_OF_SPLITS = 100
 _MARGIN = 1e-9  # what decays by less in a period counts as growing
 _RANK = 1e-8  # singular values below this share of the largest are rounding
 _HUGE = 1e100  # beyond this the growing directions count as infinite, long before they overflow
@@ -213,13 +214,29 @@ def _not_decaying(A: Float[ndarray, "T n n"], _: Float[ndarray, "T n n"]) -> Flo
     growing = values[modulus >= 1 - _MARGIN]
     if not growing.size:
         return np.zeros((len(Phi), 0))
-    near = np.abs(values[:, None] - growing).min(axis=1) <= _CLUSTER * max(1.0, float(modulus.max()))
+    within = np.minimum(_split(Phi, values), _CLUSTER * max(1.0, float(modulus.max())))
+    count = int((np.abs(values[:, None] - growing).min(axis=1) <= within).sum())
     # Schur's own eigenvalues differ from these by as much as rounding splits them, so the bound is put into the gap.
-    least = float(modulus[near].min())
-    rest = modulus[~near & (modulus < least)]
-    least = (least + float(rest.max(initial=0.0))) / 2
+    falling = np.append(np.sort(modulus)[::-1], 0.0)
+    least = (falling[count - 1] + falling[count]) / 2
     found = schur(Phi, output="real", sort=lambda real, imaginary: np.hypot(real, imaginary) >= least)
     return found[1][:, : found[2]]  # pyright: ignore[reportGeneralTypeIssues, reportIndexIssue]
+
+
+def _split(Phi: Float[ndarray, "n n"], values: ndarray) -> Float[ndarray, " n"]:
+    """How far rounding may have moved each eigenvalue: 100 n eps |Phi| / |y* x|, in balanced units.
+
+    A defective eigenvalue of order k that rounding splits by delta has condition numbers of about
+    delta / (k eps |Phi|), so that this reaches the others; a slow pole beside an integrator is far from being it.
+    """
+    from scipy.linalg import eig, matrix_balance
+
+    balanced: ndarray = matrix_balance(Phi, permute=False)[0]
+    solved: tuple[ndarray, ndarray, ndarray] = eig(balanced, left=True, right=True)  # pyright: ignore
+    overlap = np.abs(np.einsum("ij,ij->j", solved[1].conj(), solved[2]))
+    which = np.abs(values[:, None] - solved[0]).argmin(axis=1)
+    moved = _ROOM_OF_SPLITS * len(Phi) * np.finfo(float).eps * np.linalg.norm(balanced) / np.maximum(overlap, 1e-300)
+    return moved[which]
 
 
 def _dominant(A: Float[ndarray, "T m m"], G: Float[ndarray, "T m m"]) -> Float[ndarray, "m r"]:

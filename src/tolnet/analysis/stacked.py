@@ -90,13 +90,11 @@ def symmetric_eigen(P: Float[ndarray, "K n n"]) -> tuple[Float[ndarray, "K n"], 
 def smallest_unit_eigenvalue(P: Float[ndarray, "K n n"]) -> Float[ndarray, " K"]:
     """Of symmetric members scaled to a unit diagonal: the same in all units. -inf for a negative variance; NaN stays.
 
-    A state with variance zero counts as independent of the others, unless its covariances are not zero.
+    A state with variance zero makes it 0 at most.
     """
     variance = np.einsum("kii->ki", P)
-    none = variance == 0
     unit = np.sqrt(np.where(variance > 0, variance, 1.0))
     scaled = P / (unit[:, :, None] * unit[:, None, :])
-    np.einsum("kii->ki", scaled)[...] += none
     return np.where((variance < 0).any(axis=-1), -np.inf, eigenvalues(scaled)[:, 0])
 
 

@@ -197,7 +197,8 @@ def solve_steady_states(
         left = np.concatenate(doubt)
         if refine is not None:
             tolerance = tolerance.copy()
-            tolerance[left] = [refine(k) for k in left.tolist()]
+            exact = np.array([refine(k) for k in left.tolist()])
+            tolerance[left] = np.where(np.isfinite(exact), exact, tolerance[left])
             recursion = recursion.at(tolerance)
         one_by_one = _OneByOne(recursion, sources or Sources.of_matrices(A, Q, S), values, status, gains)
         before = len(todo) - len(left)
@@ -243,7 +244,7 @@ def _solve_block(recursion: Recursion) -> dict[str, ndarray]:
             attracts = _attraction_at(recursion, P, found)
         # What was not found may be no matrix of numbers at all, and LAPACK would give up on the whole stack for it.
         finite = stacked.finite_members(P)
-        P = np.where(finite[:, None, None], P, np.eye(len(recursion.A)))
+        P = stacked.symmetric_part(np.where(finite[:, None, None], P, np.eye(len(recursion.A))))
         taken = step(recursion, P)
         at, V = taken.at, taken.at.V
         M = error_loop(taken)
@@ -297,23 +298,24 @@ class _OneByOne:
                     raise NoAnswer("rounding leaves less than six digits of it")
                 # Not from the doubles' P: a millionth away there may be another steady state, on no path from c = 0.
                 self._write(k, self.sources.solve(k, float(self.recursion.tolerance[k]), self.recursion.undriven))
-                if self.status[k] == Status.OSCILLATES:
-                    self._settle(k)
             except NoAnswer as end:
                 failed.append(k)
                 self._write_nothing(k, str(end))
             done(turn + 1)
+        restless = doubt[self.status[doubt] == Status.OSCILLATES.value]
+        if restless.size:
+            self._settle(restless)
         if failed and self.recursion.tau == 0:
             self._catch(np.array(failed))
 
-    def _settle(self, k: int) -> None:
+    def _settle(self, restless: ndarray) -> None:
         """Where the recursion comes to rest elsewhere, that steady state in place of the one that repels."""
-        one = self.recursion.part(np.array([k]))
+        part = self.recursion.part(restless)
         with np.errstate(all="ignore"):
-            rest = _settled(one)
-            theta = float(inflate_covariance(rest.P, one.tolerance).theta[0])
-        if rest.found[0]:
-            self._try(k, (rest.P[0], theta))
+            rest = _settled(part)
+            thetas = inflate_covariance(rest.P, part.tolerance).theta
+        for i in np.flatnonzero(rest.found & np.isfinite(thetas)).tolist():
+            self._try(int(restless[i]), (rest.P[i], float(thetas[i])))
 
     def _catch(self, failed: ndarray) -> None:
         """Look for steady states where the filters themselves go; `diverges` where they go away."""
@@ -343,9 +345,14 @@ class _OneByOne:
     def _write(self, k: int, state: Extended) -> None:
         for name in ("P", "V", "filtered", *_NUMBERS):
             self.values[name][k] = getattr(state, name)
+        if np.isnan(state.attraction):
+            one = self.recursion.part(np.array([k]))
+            with np.errstate(all="ignore"):
+                self.values["attraction"][k] = _attraction_at(one, state.P[None], np.ones(1, dtype=bool))[0]
         self.values["iterations"][k] += state.iterations
         self.values["reason"][k] = ""
-        self.status[k] = Status.OK.value if state.attraction < 1 else Status.OSCILLATES.value
+        settles = self.values["attraction"][k] < 1
+        self.status[k] = Status.OK.value if settles else Status.OSCILLATES.value
         if state.gain is not None:
             self.gains[k] = state.gain
 

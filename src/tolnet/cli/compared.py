@@ -288,7 +288,9 @@ def _distances(tied: dict[Any, Any], deployed: Deployed, console: Console) -> li
 def _worst_case(data: Any, rows: Sequence[Row], network: SensorNetwork, against: Against) -> Row:
     """Whether the stated model follows from the centre's exact steady state: linear equations, no Riccati equation.
 
-    Differences of gains and of the tilt T are judged in the units of each state: beside sqrt(P_ii).
+    Differences of gains are judged in the units of each state, beside sqrt(P_ii), and those of the tilt T between
+    factors of P = L L': with M M' <= P and (A - G C) P (A - G C)' <= P, what L' T L bounds is all of T that moves
+    anything. Along directions that hardly vary, T is large, and rounding alone makes it another.
     """
     import numpy as np
 
@@ -296,6 +298,7 @@ def _worst_case(data: Any, rows: Sequence[Row], network: SensorNetwork, against:
     from tolnet.certificates.fixed_point import Box
     from tolnet.certificates.stated import stated_deployment
     from tolnet.certificates.verify import exact_centre, gain_distances
+    from tolnet.model.worst_case import psd_factor
 
     name = "least favourable model"
     entry = valid(rows, "steady-state").get("centre")
@@ -307,7 +310,7 @@ def _worst_case(data: Any, rows: Sequence[Row], network: SensorNetwork, against:
     if exact is None or distance is None or stated is None:
         return not_compared(name, against.problem, "the centre's steady state was not enclosed once more")
     P, V, theta = exact
-    unit = np.sqrt(np.diag(P))
+    unit, L = np.sqrt(np.diag(P)), psd_factor(P)
     wrong = []
     if not max(distance, float.fromhex(entry["gain_error"])) <= ALIKE:
         wrong.append("the centre's gain")
@@ -322,7 +325,7 @@ def _worst_case(data: Any, rows: Sequence[Row], network: SensorNetwork, against:
         return not_compared(name, against.problem, "the model that follows was not computed")
     if not worst.exists:
         wrong.append("whether there is one")
-    elif not _alike(stated.tilt @ stated.tilt.T, worst.tilt, unit):
+    elif not _alike(*(L.T @ T @ L for T in (stated.tilt @ stated.tilt.T, worst.tilt)), np.ones(len(P))):
         wrong.append("its tilt")
     right = f"the stated model follows from the centre's exact steady state, within {ALIKE:g}"
     return compared_row(name, against.problem, wrong, right)

@@ -11,6 +11,7 @@ from numpy import ndarray
 from scipy import sparse
 
 from tolnet.analysis.curvature import columns_of
+from tolnet.analysis.stacked import smallest_unit_eigenvalue
 from tolnet.design.tolerances import choose_tolerances
 from tolnet.design.weights.intersection import intersect_covariances
 from tolnet.model import DIFFUSION_RULES, Complaint, InputError, SensorNetwork, ToleranceTable, UnsupportedError
@@ -89,6 +90,12 @@ def _from_variances(network: SensorNetwork, rule: str, table: ToleranceTable | N
         w = precision[columns.sender]
         w = w / columns.sums(w)[columns.hearer]
     else:
+        singular = np.flatnonzero(smallest_unit_eigenvalue(local.V) <= network.n * np.finfo(float).eps)
+        if singular.size:
+            raise UnsupportedError(
+                f"the diffusion rule {rule!r} needs every V_l^-1, and V of node {network.label(int(singular[0]))} is"
+                " singular: a direction of the state is known exactly"
+            )
         w = intersect_covariances(columns, local.V)
     return sparse.csr_array(sparse.coo_array((w, (columns.sender, columns.hearer)), shape=network.adjacency.shape))
 

@@ -46,6 +46,8 @@ def read_whole(path: str | Path, most: int, look: Callable[[bytes, int], None] |
         with open(path, "rb", opener=_without_waiting) as file:
             _check(os.fstat(file.fileno()), most)  # of what was opened, whatever took its place meanwhile
             head = file.read(HEAD)
+            if head is None:  # a file of the system that would wait for what it will hold
+                raise InputError("cannot be read: it holds nothing now")
             if look is not None:
                 look(head, os.fstat(file.fileno()).st_size)
             data = head + file.read(max(0, most + 1 - len(head))) if len(head) == HEAD else head

@@ -21,7 +21,10 @@ def mapping_of(data: bytes, source: str) -> dict[str, Any]:
     if not data.strip():
         raise InputError("is empty; a problem file was expected", source=source)
     try:
-        content = tomllib.loads(_text_of(data))
+        text = _text_of(data)
+        if _MANY_PARTS.search(text):
+            raise RecursionError
+        content = tomllib.loads(text)
         if deeper_than(content, DEEPEST):
             raise RecursionError
     except InputError as error:
@@ -42,6 +45,14 @@ def _text_of(data: bytes) -> str:
 
 DEEPEST = 20
 """How deep tables and lists may hold one another; a bound over time is 5 deep, and no key is deeper."""
+
+_MANY_PARTS = re.compile(
+    r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}"""  # possessive: linear in the text
+)
+"""A dotted key five times as deep as anything may be. One is read in the square of its parts: 200,000 take minutes.
+
+It could stand in a string, too, but no text has a hundred words with nothing but dots and blanks between them.
+"""
 
 
 def deeper_than(content: Any, most: int) -> bool:

@@ -109,7 +109,9 @@ def test_it_is_admissible_better_than_every_start_and_what_it_says(small, best: 
         assert evaluated(network, table, other / other.sum(axis=0)).mean() > best.value
 
 
-@pytest.mark.parametrize(("seed", "rule", "optimised", "bound"), [(0, -0.88, -1.46, -2.55), (1, -0.23, -0.66, -1.71)])
+@pytest.mark.parametrize(("seed", "rule", "optimised", "bound"), [
+    (0, -0.88, -1.46, -2.55), pytest.param(1, -0.23, -0.66, -1.71, marks=pytest.mark.study),
+])  # fmt: skip
 def test_projectile_networks_against_an_independent_optimiser(seed: int, rule: float, optimised: float, bound: float):
     """A small version of the study in notebook 05; decibels from a plain gradient method in NumPy."""
     network = projectile(seed)
@@ -145,6 +147,7 @@ def test_gains_close_more_of_the_gap_and_are_what_is_deployed(
     assert found.value <= 1.005 * independent(errors, a, 1, gains=True, sent=sent)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("asked", [{"constraints": design.Constraints(max_neighbours=2)}, {"objective": "robust"}])
 def test_gains_with_few_neighbours_and_over_scenarios(small, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch):
     network, table = small
@@ -269,7 +272,9 @@ def test_bounds_on_own_weights_and_on_neighbours(small, best: Diffusion):
         few = design.optimise_diffusion(network, table, constraints=design.Constraints(max_neighbours=d))
         assert ((check_admissible(few) > 0).sum(axis=0) <= d).all()
         values.append(few.value)
-    assert values[0] > values[1] > values[2]
+    # Two neighbours are all that the best weights use here, so that both searches end near one optimum; each ends
+    # where a step gains less than a millionth.
+    assert values[0] > values[1] > (1 - 1e-5) * values[2]
     assert values[2] == best.value
 
 
