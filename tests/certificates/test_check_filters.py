@@ -303,7 +303,7 @@ def test_nothing_altered_is_valid_that_balls_refuse(name: str) -> None:
     of_data = [
         what for what, _ in every if "('data'" in what or what.startswith(("node ", "n ", "nodes ", "directed "))
     ]
-    left_out = set(of_data) - set(of_data[::12])  # most make no network at all, or another one
+    left_out = set(of_data) - set(of_data[:: sized(24, 4)])  # most make no network at all, or another one
     for what, altered in every:
         if what in left_out:
             continue
@@ -460,7 +460,8 @@ def test_slow_filters_are_shown_by_blocks(c: float, states: int, monkeypatch: py
         {"blocks": [0]},
     ]
     malformed: list[dict[str, Any]] = [
-        *({"blocks": x} for x in ([-1], [41], [20] * 65, 12, "12", None, {}, [True], [1.0], [[1]], ["1"])),
+        *({"blocks": [*proof["blocks"], *x]} for x in ([-1], [41], [20] * 65)),
+        *({"blocks": x} for x in (12, "12", None, {}, [True], [1.0], [[1]], ["1"])),
         *({"lower": x} for x in ("", "0x1p+0 " * 9, 3, None, ["0x1p+0"])),
         {"box": {}},
         {"further": 1},
@@ -501,6 +502,55 @@ def test_many_steps_at_once_are_those_one_by_one() -> None:
     end = filters.many_steps(equations, theta, start, 40)
     assert hold(end - equations.following(equations.at(end, theta, stretched=False)), [[Fraction(0)] * 2] * 2)
     assert arithmetic.largest(end.radius) < Fraction(1, 2**100)
+
+
+def of_one(x: float) -> Matrix:
+    return matrix_of([[Fraction(x)]])
+
+
+def plain(n: int, c: float, S: float = 1.0) -> filters.Equations:
+    """A = I / 2, Q = I, S of this size."""
+    one = arithmetic.unit(n)
+    return filters.Equations(
+        one.times(arithmetic.exactly(0.5)), one, one.times(arithmetic.exactly(S)), one, Fraction(c)
+    )
+
+
+def test_each_condition_on_a_bracket_counts() -> None:
+    """T(P) = P / (4 (1 + P)) + 1 has its fixed point at 1.13; at c > 0, theta lies between those of the ends."""
+    equations = plain(1, 0.0)
+
+    def ends(low: float, P: float, high: float) -> tuple[Balls, Balls]:
+        way = filters.Bracket(of_one(low), of_one(high), [1])
+        return filters.by_blocks(equations, arithmetic.exact(of_one(P)), way)
+
+    assert ends(1, 1.5, 2)[0].entry(0, 0).low > 1
+    for low, P, high in ((1, 3, 2), (1, 0.5, 2), (-1, 1.5, 2)):
+        with pytest.raises(Wrong, match="between the ends"):
+            ends(low, P, high)
+    with pytest.raises(Wrong, match="L < T"):
+        ends(1.25, 1.5, 2)
+    with pytest.raises(Wrong, match=r"T\(U, theta\(L\)\) < U"):
+        ends(1, 1.0625, 1.125)
+    L, U = (arithmetic.unit(2).times(arithmetic.exactly(x)) for x in (1, 2))
+    (_, a), (_, b) = filters.bounds(plain(2, 0.01), L, U)
+    theta_L, theta_U = (filters.enclose_theta(plain(2, 0.01), M) for M in (L, U))
+    assert a.high <= theta_U.low < theta_L.high <= b.low
+    with pytest.raises(Wrong, match="U\\^-1 - theta"):
+        filters.bounds(plain(2, 1.0, 2.0**-10), L.times(arithmetic.exactly(2.0**-6)), U)
+
+
+@pytest.mark.parametrize("bits", [24, 40])
+def test_the_ends_of_a_bracket_are_rounded_outward(bits: int) -> None:
+    with arithmetic.precision(bits):
+        way = filters.Bracket(of_one(1), of_one(2), [1])
+        found = filters.by_blocks(plain(1, 0.0), arithmetic.exact(of_one(1.5)), way)
+    for M, x, sign in zip(found, (Fraction(1), Fraction(2)), (1, -1), strict=True):
+        end = x
+        for _ in range(2):
+            end = end / (4 * (1 + end)) + 1
+        end -= (end - x) / 2**12
+        assert 0 < sign * (end - M.entry(0, 0).middle) < Fraction(1, 2 ** (bits - 6))
 
 
 def test_a_claim_that_takes_too_long_leaves_time_to_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
