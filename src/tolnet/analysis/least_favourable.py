@@ -20,15 +20,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from tolnet.analysis.divergence import inflate
+from tolnet.analysis import stacked
+from tolnet.analysis.divergence import gamma, inflate
 from tolnet.analysis.lyapunov_dense import data_error, solve_smith
+from tolnet.analysis.riccati import is_valid, solve_riccati
 from tolnet.analysis.stacked import spectral_radius
-from tolnet.analysis.steady_state import solve_steady_states
 from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyState, UnsupportedError
 from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor, standard_deviations
 
-_GRID, _ROUNDS = 32, 6
-"""The fold is bracketed in c by grids of this many points, that many times over."""
+_GRID, _ROUNDS = 33, 6
+"""The fold is bracketed in theta by grids of this many points, that many times over: c goes like the root of theta."""
+
+_ON_THE_BRANCH = 1e-11
+"""Residual of a Riccati solution; just beyond the fold doubling wanders about, and its residual with it."""
 
 
 def least_favourable_model(
@@ -187,17 +191,36 @@ def _tilt(
 def fold_tolerance(network: SensorNetwork, above: float) -> float:
     """The smallest c <= `above` at which the closed loop at fixed theta has spectral radius 1: the centre's fold.
 
-    Assumes that `above` is at or beyond the fold. Steady states on ever finer grids of c, the first one geometric.
-    Gamma scale.
+    Assumes that `above` is at or beyond the fold. gamma rises with theta along the stabilising branch of the Riccati
+    equation and is c at its end: the largest theta with a stabilising solution, on ever finer grids below the theta
+    at which the Kalman filter's P would spend `above`, which is no smaller. Gamma scale.
+    Source: docs/mathematics.md, section 4.5.
     """
-    A, Q, S = network.A, network.Q, np.broadcast_to(network.total_information, (_GRID, network.n, network.n))
-    grid = np.geomspace(1e-9 * above, above, _GRID)
-    for _ in range(_ROUNDS):
-        at = solve_steady_states(A, Q, S, grid)
-        below = spectral_radius(_loop_at_theta(A, at.S, at.V, at.theta)) < 1
-        last = int(np.argmin(below))
-        grid = np.linspace(grid[max(last - 1, 0)], grid[last], _GRID)
-    return float(grid[-1])
+    A, Q, S = network.A, network.Q, network.total_information
+    below: list[tuple[float, float]] = []  # 1 - rho and gamma
+    with np.errstate(all="ignore"):
+        kalman = np.linalg.eigvalsh(solve_riccati(A, Q, S[None]).P)
+        theta, high = 0.0, float(inflate(kalman, np.array([above])).theta[0])
+        for _ in range(_ROUNDS):
+            if not theta < high < np.inf:
+                break
+            grid = np.linspace(theta, high, _GRID)[1:]
+            G = S - grid[:, None, None] * np.eye(network.n)
+            found = solve_riccati(A, Q, G)
+            good = is_valid(found.P, grid, found.residual) & (found.residual < _ON_THE_BRANCH)
+            loops = A @ stacked.inverse(np.eye(network.n) + np.where(good[:, None, None], found.P, 0.0) @ G)
+            radius = spectral_radius(loops)
+            good &= radius < 1
+            last = len(grid) if good.all() else int(np.argmin(good))
+            high = grid[min(last, len(grid) - 1)]
+            if last:
+                theta = float(grid[last - 1])
+                below.append((1 - float(radius[last - 1]), float(gamma(found.P[last - 1], theta))))
+    if len(below) < 2:
+        return below[0][1] if below else 0.0
+    # gamma and rho both go like the root of what theta lacks, so that gamma is straight in 1 - rho.
+    (far, before), (near, now) = below[-2:]
+    return min(now + (now - before) * near / (far - near) if far > near else now, above)
 
 
 def _loop_at_theta(
