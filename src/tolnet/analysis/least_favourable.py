@@ -29,7 +29,7 @@ from tolnet.model import LeastFavourableModel, SensorNetwork, Status, SteadyStat
 from tolnet.model.covariances import SIX_DIGITS, TOO_PRECISE, condition, psd_factor, standard_deviations
 
 _GRID, _ROUNDS = 33, 6
-"""The fold is bracketed in theta by grids of this many points, that many times over: c goes like the root of theta."""
+"""The fold is bracketed in theta by grids of this many points, that many times over."""
 
 _ON_THE_BRANCH = 1e-11
 """Residual of a Riccati solution; just beyond the fold doubling wanders about, and its residual with it."""
