@@ -66,7 +66,7 @@ def prove_performance(
     deployed = network.deployed
     small = (deployed.N + 1) * deployed.n <= MOST
     if deployed.centre is None:
-        return _undecided("there is no least favourable model")
+        return _undecided("no least favourable model is stated; `tolnet performance` says why")
     if network.unmixed:
         return _undecided(network.unmixed)
     if not has_covariances(deployed):
@@ -124,7 +124,7 @@ def verify_performance(network: ExactNetwork, claim: dict[str, Any]) -> str | No
     if not has_covariances(deployed):
         return "Q is not semidefinite, or some R is not definite"
     if deployed.centre is None or not can_follow(deployed):
-        return "there is no least favourable model, or the network is too large"
+        return "no least favourable model is stated, or the network is too large"
     if not contracts(network, delta, Y):
         return "the contraction is not shown"
     found = follow_noise(network, Y, delta)
