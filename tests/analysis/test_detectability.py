@@ -180,7 +180,7 @@ def test_of_a_singer_model_only_the_position_tells_the_position():
     assert [(mode.eigenvalue, mode.states) for mode in seen.offending(1)] == [(1.0, (0, 1))]
     assert seen.offending(2) == seen.offending(None) == []
     reasons = Reasons(choose_tolerances(own, 0.0))
-    assert "nodes 0) sees all of the mode 1 (position) of A, which does not decay" in str(reasons.of(0))
+    assert "node 0) sees all of the mode 1 (position) of A, which does not decay" in str(reasons.of(0))
     assert "nodes 1) sees all of the mode 1 (position, velocity) of A, which does not decay" in str(reasons.of(1))
 
 

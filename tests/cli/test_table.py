@@ -185,7 +185,7 @@ def test_no_answer_at_one_node_leaves_the_others_theirs(tolnet: Tolnet, blind: P
     assert document["nodes"][0]["trace_V"] > 0
     assert json.loads((tmp_path / "t.json").read_text()) == document
     assert "node 2 (hill): undetectable" in ran.err
-    assert "(nodes 2) sees all of the mode 1.1 of A" in ran.err
+    assert "(node 2) sees all of the mode 1.1 of A" in ran.err
     assert "node 0" not in ran.err
 
 

@@ -170,6 +170,7 @@ def test_gains_with_few_neighbours_and_over_scenarios(small, asked: dict[str, An
     assert found.value == pytest.approx(max(msd.mean() for msd in each), rel=1e-8)
 
 
+@pytest.mark.study
 def test_gains_of_a_lost_link_wait_for_its_return(small, monkeypatch: pytest.MonkeyPatch):
     network, table = small
     monkeypatch.setattr("tolnet.design.weights.search._RANDOM_WITH_GAINS", 0)
@@ -244,6 +245,7 @@ def test_scenarios(small, best: Diffusion):
     assert found.value <= max(others) * (1 + 1e-6)
 
 
+@pytest.mark.study
 def test_symmetric_weights_and_ipopt_as_a_second_opinion(small, best: Diffusion):
     network, table = small
     other = design.optimise_diffusion(network, table, method="ipopt")
@@ -323,6 +325,7 @@ def test_an_interrupt_before_the_search_leaves_the_best_start(
     assert all(np.isnan(start.found) for start in found.starts)
 
 
+@pytest.mark.study
 def test_links_are_ranked_by_the_optimised_msd(small, best: Diffusion):
     network, _ = small
     found = add_links(network, Ambiguity(0.02), best.W.toarray(), 2)
