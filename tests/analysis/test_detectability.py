@@ -181,7 +181,7 @@ def test_of_a_singer_model_only_the_position_tells_the_position():
     assert seen.offending(2) == seen.offending(None) == []
     reasons = Reasons(choose_tolerances(own, 0.0))
     assert "node 0) sees all of the mode 1 (position) of A, which does not decay" in str(reasons.of(0))
-    assert "nodes 1) sees all of the mode 1 (position, velocity) of A, which does not decay" in str(reasons.of(1))
+    assert "node 1) sees all of the mode 1 (position, velocity) of A, which does not decay" in str(reasons.of(1))
 
 
 @pytest.mark.parametrize("pole", [0.99, 1 - 1e-6, 1 - 1e-12])
